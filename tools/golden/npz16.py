@@ -1,4 +1,4 @@
-"""Makes crates/field/tests/data/numpy.npz16: a flow that NumPy wrote in the npz16 format, of a formula the test knows.
+"""Makes crates/files/tests/data/numpy.npz16: a flow that NumPy wrote in the npz16 format, of a formula the test knows.
 
 Needs numpy. Also reads a file that srflow wrote, when one is given, and prints its flow's range.
 """
@@ -17,7 +17,7 @@ q = np.where(np.isnan(flow), -32768, np.round(np.nan_to_num(flow) / step)).astyp
 d = np.diff(np.diff(q, axis=1, prepend=np.int16(0)), axis=2, prepend=np.int16(0))
 low = d.astype(np.int8)
 high = ((d.astype(np.int32) - low) // 256).astype(np.int8)
-folder = pathlib.Path(__file__).parents[2] / "crates/field/tests/data"
+folder = pathlib.Path(__file__).parents[2] / "crates/files/tests/data"
 with open(folder / "numpy.npz16", "wb") as file:
     np.savez_compressed(file, step=np.float32(step), low=low, high=high)
 

@@ -145,8 +145,8 @@ def compare(landmarks, pictures):
     import cv2
     import mediapipe
 
-    # dlib's points, of crates/field/src/landmarks.rs
-    text = (Path(__file__).parents[2] / "crates/field/src/landmarks.rs").read_text()
+    # dlib's points, of crates/core/src/landmarks.rs
+    text = (Path(__file__).parents[2] / "crates/core/src/landmarks.rs").read_text()
     table = text.split("MEDIAPIPE_OF_DLIB: [usize; 68] = [")[1].split("];")[0]
     nearest = [int(number) for line in table.splitlines() for number in line.split("//")[0].split(",") if number.strip()]
     for row, picture in zip(csv.DictReader(open(landmarks)), pictures, strict=True):

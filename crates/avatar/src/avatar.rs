@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 use rayon::prelude::*;
-use srflow_field::FileError;
+use srflow_files::FileError;
 use srflow_splat::{GaussianGradients, Gaussians};
 
 use crate::binding::{BindingError, BoundGaussians, BoundGradients, TriangleFrame, vertex_gradients};

@@ -1,7 +1,7 @@
 use std::fmt;
 use std::sync::Arc;
 
-use srflow_field::Recent;
+use srflow_core::Recent;
 
 use crate::{Avatar, AvatarError, HeadSource};
 

@@ -194,7 +194,7 @@ impl BoundGaussians {
 mod tests {
     use super::*;
     use glam::{DMat3, DVec3};
-    use srflow_field::random::{Key, Stream};
+    use srflow_core::random::{Key, Stream};
 
     fn vector(stream: &mut Stream) -> Vec3 {
         Vec3::new(stream.normal(), stream.normal(), stream.normal())

@@ -8,7 +8,7 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_field::{FileError, FileProblem, create_folder};
+use srflow_files::{FileError, FileProblem, create_folder};
 use srflow_splat::{Gaussians, read_bound_ply, write_bound_ply};
 
 use crate::capture::{HEAD_NAME, HeadRecord};

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use glam::Vec3;
-use srflow_field::{Array, FileError, FileProblem, Npz};
+use srflow_files::{Array, FileError, FileProblem, Npz};
 
 use crate::avatar::AvatarError;
 use crate::landmark_file::{on_triangle, place, read_rows};

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 
 use crate::avatar::AvatarError;
 use crate::capture::HeadRecord;

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat4, DVec4, Quat, Vec3};
 use rayon::prelude::*;
 use serde::Deserialize;
-use srflow_field::{FileKind, parse_error_in_words, read_file};
+use srflow_files::{FileKind, parse_error_in_words, read_file};
 
 use crate::arkit::{ACTION_UNITS, action_units};
 use crate::avatar::AvatarError;

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
-use srflow_field::{FileKind, FileProblem, excerpt, read_text};
+use srflow_core::excerpt;
+use srflow_files::{FileKind, FileProblem, read_text};
 
 use crate::avatar::AvatarError;
 use crate::dress::nearest_weights;

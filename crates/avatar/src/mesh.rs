@@ -7,7 +7,7 @@ use std::path::Path;
 
 use glam::{Vec2, Vec3};
 use serde_json::json;
-use srflow_field::{FileError, FileProblem, write_atomically};
+use srflow_files::{FileError, FileProblem, write_atomically};
 use srflow_splat::gltf::GltfBuilder;
 
 use crate::TextureMap;

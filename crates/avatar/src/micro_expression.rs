@@ -1,6 +1,6 @@
 //! Micro-expressions: brief, weak, involuntary.
 
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 
 use crate::motion::{available_units, quintic};
 use crate::{HeadModel, HeadModelError, HeadPose, Side};

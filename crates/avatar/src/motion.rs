@@ -1,7 +1,7 @@
 //! Smooth random motion of a face: expressions, speech, blinks, gaze and the neck.
 
 use glam::{EulerRot, Quat};
-use srflow_field::random::{Key, Stream};
+use srflow_core::random::{Key, Stream};
 
 use crate::{HeadModel, HeadPose, JointRole, Side};
 

@@ -1,7 +1,8 @@
 use std::path::Path;
 
 use glam::{Vec2, Vec3};
-use srflow_field::{FileKind, excerpt, read_file};
+use srflow_core::excerpt;
+use srflow_files::{FileKind, read_file};
 
 use crate::avatar::AvatarError;
 

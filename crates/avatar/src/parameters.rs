@@ -19,7 +19,7 @@ use std::path::Path;
 
 use glam::{Quat, Vec3};
 use serde_json::Value;
-use srflow_field::{
+use srflow_files::{
     Array, FileError, FileKind, FileProblem, Npz, NpzArray, parse_error_in_words, read_file, write_npz,
 };
 

@@ -8,7 +8,8 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use srflow_field::{Array, FileError, FileKind, FileProblem, excerpt, excerpts, npy_pickle, read_file};
+use srflow_core::{excerpt, excerpts};
+use srflow_files::{Array, FileError, FileKind, FileProblem, npy_pickle, read_file};
 
 /// Most operations of a file. Each makes a value of some dozen bytes; FLAME's files have below a thousand.
 const MAX_OPERATIONS: usize = 1_000_000;

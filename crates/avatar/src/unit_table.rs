@@ -5,7 +5,8 @@ use std::path::Path;
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileError, FileKind, FileProblem, excerpt, parse_error_in_words, read_text, write_file};
+use srflow_core::excerpt;
+use srflow_files::{FileError, FileKind, FileProblem, parse_error_in_words, read_text, write_file};
 
 use crate::unit_fit::UnitQuality;
 use crate::{ActionUnit, HeadModel, Side};

@@ -1,7 +1,7 @@
 //! Motion is smooth, starts and ends at rest, and every frame can be computed alone; micro-expressions follow the coding.
 
 use srflow_avatar::{HeadModel, MicroExpression, Motion, motion};
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 
 const FRAMES_PER_SECOND: f32 = 73.0;
 

@@ -1,6 +1,6 @@
 //! A flow field as two planes, the layout that the kernels work on.
 
-use srflow_field::{FlowField, Plane};
+use srflow_core::{FlowField, Plane};
 
 /// Flow in pixels: `u` to the right, `v` down; both planes of one size.
 #[derive(Debug, Clone, PartialEq)]

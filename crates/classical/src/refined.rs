@@ -1,6 +1,6 @@
 //! Refines the flow of another estimator.
 
-use srflow_field::{EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image};
+use srflow_core::{EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image};
 
 use crate::{TvL1, TvL1Parameters};
 

@@ -1,8 +1,8 @@
 //! The flow is bit-identical on every instruction set. In a file of its own, since the choice is process-wide.
 
 use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
-use srflow_field::random::Key;
-use srflow_field::{FlowEstimator, Image};
+use srflow_core::random::Key;
+use srflow_core::{FlowEstimator, Image};
 use srflow_simd::Isa;
 
 /// Smooth blobs that move by three pixels, in a size that is no multiple of the vector length.

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
-use srflow_field::{FlowEstimator, FlowField, Image, read_flow, read_image};
+use srflow_core::{FlowEstimator, FlowField, Image};
+use srflow_files::{read_flow, read_image};
 
 /// `(a, b, offset, half period, amplitude)` of triangle waves over positions in 1/256 pixel.
 const WAVES: [[i64; 5]; 5] = [

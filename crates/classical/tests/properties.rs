@@ -1,8 +1,8 @@
 //! Properties that hold for any frames.
 
 use srflow_classical::{Farneback, FarnebackParameters, Refined, TvL1, TvL1Parameters};
-use srflow_field::random::Key;
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, forward_interpolate};
+use srflow_core::random::Key;
+use srflow_core::{EstimateError, FlowEstimator, FlowField, Image, forward_interpolate};
 
 fn estimators() -> Vec<Box<dyn FlowEstimator>> {
     let farneback = |parameters| Box::new(Farneback::new(parameters).unwrap()) as Box<dyn FlowEstimator>;

@@ -5,10 +5,10 @@ use std::process::Command;
 
 use anyhow::Context as _;
 use clap::Args;
+use srflow_core::Image;
 use srflow_face::{
     FaceBox, FaceFinder, FacePoints, FrameCrop, LandmarkTable, MODEL_SOURCES, write_landmarks,
 };
-use srflow_field::Image;
 use srflow_mer::{FaceCrop, Landmarks};
 use srflow_read::micro_expression::Clip;
 

@@ -5,7 +5,7 @@ use std::str::FromStr;
 use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
-use srflow_field::Size;
+use srflow_core::Size;
 use srflow_nets::{Padding, SMALLEST_TILE_SIDE, TileSize, Tiles, Tiling, scaled_size};
 
 use crate::machine;

@@ -16,6 +16,7 @@ macro_rules! note {
 mod commands;
 mod face;
 mod interrupt;
+mod job_engine;
 mod large_frames;
 mod library;
 mod machine;

@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, bail};
 use serde::Serialize;
+use srflow_core::{is_unprintable, printable};
 use srflow_eval::{Table, TextStyle, joined, latex_file};
-use srflow_field::{is_unprintable, printable};
 
 use crate::usage::wrong_usage;
 use crate::video::is_video;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use clap::Args;
 use srflow_avatar::{Avatar, HeadModel, HeadParameters, HeadPose, HeadSource, Motion, PoseParameters, Side};
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 use srflow_render::generate::MotionSource;
 
 use crate::usage::wrong_usage;

@@ -4,11 +4,11 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
+use crate::job_engine::{ShardChoice, TakenShard};
 use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 use serde_json::json;
-use srflow_field::{ShardChoice, TakenShard};
 use srflow_render::RenderError;
 use srflow_render::job::{Event, Request};
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use srflow_eval::{Evaluation, Event, Method, ScoredPair, Settings, evaluate};
-use srflow_field::{create_folder, write_flow};
+use srflow_files::{create_folder, write_flow};
 use srflow_read::flow::FlowDataset;
 
 use crate::progress::bar;

@@ -7,7 +7,8 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::thread::JoinHandle;
 
 use anyhow::{Context as _, anyhow, bail, ensure};
-use srflow_field::{FileKind, Image, open_file};
+use srflow_core::Image;
+use srflow_files::{FileKind, open_file};
 
 /// Extensions of video files.
 const EXTENSIONS: [&str; 15] = [
@@ -201,7 +202,7 @@ impl VideoWriter {
     /// When there is no `ffmpeg`.
     pub fn create(path: &Path, size: (usize, usize), rate: &str) -> anyhow::Result<Self> {
         let extension = path.extension().and_then(OsStr::to_str).unwrap_or_default();
-        let partial = path.with_extension(format!("{}.{extension}", srflow_field::PARTIAL_EXTENSION));
+        let partial = path.with_extension(format!("{}.{extension}", srflow_files::PARTIAL_EXTENSION));
         let mut command = Command::new("ffmpeg");
         command.args(["-nostdin", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
         command.args(["-s", &format!("{}x{}", size.0, size.1), "-r", rate, "-i", "-"]);

@@ -1,6 +1,6 @@
 //! Placing the evaluated window in a frame.
 
-use srflow_field::Mask;
+use srflow_core::Mask;
 
 /// A window of a frame, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,6 +1,6 @@
 //! The share of pixels within an error threshold: the curve whose weighted area is WAUC.
 
-use srflow_field::FlowField;
+use srflow_core::FlowField;
 
 /// Thresholds in pixels: 0.05, 0.10, ... 5, those of WAUC.
 pub(crate) const THRESHOLDS: usize = 100;

@@ -5,7 +5,7 @@ use std::num::NonZeroUsize;
 use std::time::Instant;
 
 use rayon::prelude::*;
-use srflow_field::{
+use srflow_core::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Mask, MeanMetrics, Metrics,
     ScoreError, Shard, score,
 };

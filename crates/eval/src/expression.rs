@@ -1,7 +1,7 @@
 //! How well an estimate shows the motion of an expression, apart from that of the head.
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FlowField, Mask};
+use srflow_core::{FlowField, Mask};
 
 /// The motion that remains when that of the head is taken away: of each flow its best affine fit within the head. For one pair,
 /// or the mean over pairs.

@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use srflow_field::{FileError, FlowField, FlowFormat, read_flow_as};
+use srflow_core::FlowField;
+use srflow_files::{FileError, FlowFormat, read_flow_as};
 use srflow_read::flow::FlowDataset;
 
 use crate::crop::Window;

@@ -1,6 +1,6 @@
 //! The pixels of a pair that scores of a region cover.
 
-use srflow_field::{FlowField, Labels, Mask};
+use srflow_core::{FlowField, Labels, Mask};
 use srflow_read::region_map::HeadPart;
 
 use crate::results::Region;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{Metrics, named};
+use srflow_core::{Metrics, named};
 use srflow_read::flow::Split;
 
 use crate::expression::Expression;

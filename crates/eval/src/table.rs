@@ -121,7 +121,7 @@ impl Table {
         let marks = self.marks();
         let mut cells: Vec<Vec<String>> = vec![self.headers()];
         for (row, marks) in self.rows.iter().zip(&marks) {
-            let mut line = vec![srflow_field::excerpt(&row.name)];
+            let mut line = vec![srflow_core::excerpt(&row.name)];
             for ((c, column), mark) in self.columns.iter().enumerate().zip(marks) {
                 line.push(format!("{}{}", column.show(row.value(c)), plain_suffix(style, *mark)));
             }
@@ -131,7 +131,7 @@ impl Table {
             .map(|c| cells.iter().map(|line| line[c].chars().count()).max().unwrap_or(0))
             .collect();
 
-        let mut out = format!("{}\n\n", srflow_field::excerpt(&self.title));
+        let mut out = format!("{}\n\n", srflow_core::excerpt(&self.title));
         for (r, line) in cells.iter().enumerate() {
             for (c, cell) in line.iter().enumerate() {
                 let pad = " ".repeat(widths[c] - cell.chars().count());
@@ -155,7 +155,7 @@ impl Table {
             return out;
         }
         out.push('\n');
-        self.notes.iter().for_each(|note| out += &format!("  {}\n", srflow_field::excerpt(note)));
+        self.notes.iter().for_each(|note| out += &format!("  {}\n", srflow_core::excerpt(note)));
         if !self.ranked() {
             return out;
         }

@@ -1,4 +1,4 @@
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, check_frame_sizes};
+use srflow_core::{EstimateError, FlowEstimator, FlowField, Image, check_frame_sizes};
 
 /// The estimator of zero flow: its EPE is the mean length of the true flow, and a method that does not beat it has detected
 /// no motion.

@@ -4,13 +4,13 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Mutex;
 
+use srflow_core::{
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Labels, Mask, Metrics,
+};
 use srflow_eval::{
     EvaluateError, Evaluation, Event, FlowFiles, Method, OnFailure, Region, SCORES, Settings, evaluate,
 };
-use srflow_field::{
-    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Labels, Mask, Metrics,
-    write_flow, write_image_png, write_labels_png, write_mask_png,
-};
+use srflow_files::{write_flow, write_image_png, write_labels_png, write_mask_png};
 use srflow_read::flow::{DatasetSpec, FlowDataset};
 
 const SIZE: (usize, usize) = (40, 24);
@@ -531,7 +531,7 @@ fn flow_files_score_as_the_method_that_wrote_them() {
             let flow = match written {
                 Some(_) => pair.estimates[1].flow.clone(),
                 None => {
-                    let frame = srflow_field::read_image(
+                    let frame = srflow_files::read_image(
                         &dir.path().join("pairs").join(format!("{}_img1.png", pair.name)),
                     );
                     method.estimate(&frame.unwrap(), &Image::new(1, 1)).unwrap()

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use srflow_field::Image;
+use srflow_core::Image;
 
 use crate::FaceError;
 use crate::points::{FacePoints, distance};

@@ -1,6 +1,6 @@
 //! MediaPipe's short-range face detector, graph `face_detection_short_range`.
 
-use srflow_field::Image;
+use srflow_core::Image;
 
 use crate::region::{Beyond, Region};
 use crate::tflite::Network;

@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
-use srflow_field::{FileError, printable};
+use srflow_core::printable;
+use srflow_files::FileError;
 
 use crate::FaceBox;
 

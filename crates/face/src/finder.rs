@@ -1,6 +1,7 @@
 use std::path::Path;
 
-use srflow_field::{FileKind, Image, open_zip, read_file};
+use srflow_core::Image;
+use srflow_files::{FileKind, open_zip, read_file};
 
 use crate::points::FacePoints;
 use crate::tflite::Network;

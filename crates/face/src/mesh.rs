@@ -1,6 +1,6 @@
 //! MediaPipe's face mesh, graph `face_landmark_front_cpu`.
 
-use srflow_field::Image;
+use srflow_core::Image;
 
 use crate::region::{Beyond, Region};
 use crate::tflite::Network;

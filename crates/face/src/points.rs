@@ -1,4 +1,4 @@
-use srflow_field::MEDIAPIPE_OF_DLIB;
+use srflow_core::MEDIAPIPE_OF_DLIB;
 
 use crate::crop::{EYES_Y, upright_side};
 use crate::{FaceBox, FaceError};

@@ -1,6 +1,6 @@
 //! The part of a frame that a network sees.
 
-use srflow_field::Image;
+use srflow_core::Image;
 
 /// A square of a frame, rotated; in pixels. As in MediaPipe, pixel 0 is at coordinate 0, and sizes are those of the area between the
 /// outer coordinates.

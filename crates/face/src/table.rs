@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_field::{FileKind, excerpt, open_file, read_file, write_atomically};
+use srflow_core::excerpt;
+use srflow_files::{FileKind, open_file, read_file, write_atomically};
 
 use crate::{FaceError, FacePoints};
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use sha2::{Digest, Sha256};
-use srflow_field::{
+use srflow_files::{
     FileError, FileKind, FileProblem, create_folder, hexadecimal, sha256_of_file, write_atomically,
 };
 

@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::thread;
 use std::time::Duration;
 
-use srflow_field::{excerpt, printable};
+use srflow_core::{excerpt, printable};
 use ureq::http::{HeaderMap, Response, StatusCode, header};
 
 use crate::USER_AGENT;

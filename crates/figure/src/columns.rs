@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use srflow_field::{excerpt, named};
+use srflow_core::{excerpt, named};
 
 /// A kind of panel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

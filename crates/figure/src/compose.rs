@@ -1,9 +1,9 @@
 //! From frames and flows to the panels and legends of a figure.
 
+use srflow_core::{FlowField, Image, Plane, score};
 use srflow_eval::report::{
     ColorMap, color_scale, color_wheel, error_map, flow_picture, flow_scale, middle_scale,
 };
-use srflow_field::{FlowField, Image, Plane, score};
 use srflow_mer::{StrainFormula, optical_strain};
 
 use crate::columns::{Content, Source};

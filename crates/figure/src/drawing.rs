@@ -1,6 +1,6 @@
 use std::borrow::Cow;
 
-use srflow_field::Image;
+use srflow_core::Image;
 
 /// A figure laid out on a page: lengths in points of 1/72 inch, from the top left corner, `x` to the right and `y` down.
 #[derive(Debug, Clone)]

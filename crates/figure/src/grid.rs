@@ -1,4 +1,4 @@
-use srflow_field::Image;
+use srflow_core::Image;
 
 /// A figure: rows of panels, with legends below.
 #[derive(Debug, Clone, Default)]

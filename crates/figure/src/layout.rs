@@ -2,8 +2,8 @@
 
 use std::borrow::Cow;
 
+use srflow_core::excerpt;
 use srflow_eval::report::shrink_image;
-use srflow_field::excerpt;
 
 use crate::drawing::{Anchor, Area, Drawing, Item, Paint};
 use crate::font::{ASCENT, DESCENT, shortened, width};

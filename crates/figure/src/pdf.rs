@@ -5,7 +5,7 @@ use flate2::write::ZlibEncoder;
 use pdf_writer::types::Predictor;
 use pdf_writer::{Content, Filter, Finish, Name, Pdf, Rect, Ref, Str};
 
-use srflow_field::excerpt;
+use srflow_core::excerpt;
 
 use crate::drawing::{Anchor, Drawing, Item, Paint};
 use crate::font::{code, width};

@@ -1,7 +1,7 @@
 //! Pictures compressed without loss, once for SVG and PDF alike: what a PNG holds between its headers is what a PDF calls Flate
 //! with a PNG predictor.
 
-use srflow_field::Image;
+use srflow_core::Image;
 
 use crate::layout::FigureError;
 

@@ -3,7 +3,7 @@ use std::io::{Cursor, Read};
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use flate2::read::ZlibDecoder;
-use srflow_field::{FlowField, Image, flow_colors};
+use srflow_core::{FlowField, Image, flow_colors};
 
 use crate::font::width;
 use crate::*;

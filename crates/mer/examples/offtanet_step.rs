@@ -5,7 +5,7 @@
 use std::time::Instant;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 use srflow_mer::{Classifier, OffTaNet, Training, initialized};
 use srflow_ops::ReusingAllocator;
 

@@ -2,9 +2,10 @@
 
 use rayon::prelude::*;
 use serde::Serialize;
+use srflow_core::resize::resize_cubic;
+use srflow_core::{FlowEstimator, Plane, luminance, named};
 use srflow_face::{FacePoints, FrameCrop};
-use srflow_field::resize::resize_cubic;
-use srflow_field::{FlowEstimator, Plane, luminance, named, read_image};
+use srflow_files::read_image;
 use srflow_read::micro_expression::Clip;
 
 use crate::extract::{ExtractError, ExtractProblem};

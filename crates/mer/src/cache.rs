@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
-use srflow_field::{FileError, FileKind, create_folder, hexadecimal, read_npy, sha256_of_file, write_npy};
+use srflow_files::{FileError, FileKind, create_folder, hexadecimal, read_npy, sha256_of_file, write_npy};
 
 use crate::features::{FEATURE_SIDE, Features};
 

@@ -4,11 +4,10 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
+use srflow_core::resize::{resize_cubic, resize_flow_area};
+use srflow_core::{EstimateError, FlowEstimator, FlowField, Image, Plane, in_stages, named, printable};
 use srflow_face::{FaceError, FrameCrop};
-use srflow_field::resize::{resize_cubic, resize_flow_area};
-use srflow_field::{
-    EstimateError, FileError, FlowEstimator, FlowField, Image, Plane, in_stages, named, printable, read_image,
-};
+use srflow_files::{FileError, read_image};
 use srflow_read::micro_expression::Clip;
 
 use crate::cache::{FeatureCache, FeatureKey};

@@ -1,6 +1,6 @@
 //! The input of classifiers: the flow from onset to apex and its optical strain.
 
-use srflow_field::Plane;
+use srflow_core::Plane;
 
 /// Width and height of the feature maps, in pixels.
 pub const FEATURE_SIDE: usize = 112;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 use srflow_eval::MethodRecord;
-use srflow_field::{FileError, NpzArray, write_npz};
+use srflow_files::{FileError, NpzArray, write_npz};
 
 use crate::apex::ApexRule;
 use crate::extract::Preparation;

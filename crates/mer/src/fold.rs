@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 
 use crate::classifier::{Classifier, initialized};
 use crate::protocol::Protocol;

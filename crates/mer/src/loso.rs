@@ -10,7 +10,7 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use srflow_field::{FileError, FileKind, create_folder, read_file, write_atomically};
+use srflow_files::{FileError, FileKind, create_folder, read_file, write_atomically};
 
 use crate::classifier::Classifier;
 use crate::features::Sample;

@@ -4,7 +4,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use srflow_field::{FileError, FileKind, excerpt, is_unprintable, open_file, write_atomically};
+use srflow_core::{excerpt, is_unprintable};
+use srflow_files::{FileError, FileKind, open_file, write_atomically};
 
 /// A classifier's prediction for a clip after an epoch of training on all other subjects.
 #[derive(Debug, Clone, PartialEq)]

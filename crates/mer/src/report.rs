@@ -1,10 +1,10 @@
 //! The page of a run: scores, curves, confusion matrices, subjects, and clips with face, flow, strain and prediction.
 
+use srflow_core::{FlowField, Plane, flow_colors};
 use srflow_eval::report::{
     Axis, Chart, Curve, Figure, Page, Picture, PictureError, Section, Strip, color_scale, confusion_matrix,
     curves, facts, flow_scale, ramp_legend, score_table, shrink_image, side_by_side, strips, wheel_legend,
 };
-use srflow_field::{FlowField, Plane, flow_colors};
 use srflow_read::micro_expression::Clip;
 
 use crate::extract::{ExtractError, faces_of_clip};

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use srflow_eval::{MethodRecord, Table, TextStyle, joined, latex_file, markdown_file};
-use srflow_field::{FileError, FileProblem, create_folder, write_file};
+use srflow_files::{FileError, FileProblem, create_folder, write_file};
 
 use crate::apex::ApexRule;
 use crate::predictions::write_predictions;

@@ -4,8 +4,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use serde::Serialize;
+use srflow_core::{FlowEstimator, Shard};
 use srflow_eval::MethodRecord;
-use srflow_field::{FileError, FlowEstimator, Shard};
+use srflow_files::FileError;
 use srflow_read::micro_expression::{Clip, ClipDataset};
 
 use crate::apex::{ApexRule, fill_apexes};

@@ -1,6 +1,6 @@
 //! Optical strain: how much the flow stretches and shears the skin.
 
-use srflow_field::{FlowField, Image, Plane, named};
+use srflow_core::{FlowField, Image, Plane, named};
 
 /// How strain is computed from the flow's derivatives `ux`, `uy`, `vx`, `vy`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

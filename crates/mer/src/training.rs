@@ -2,7 +2,7 @@
 
 use burn::tensor::activation::log_softmax;
 use burn::tensor::{Int, Tensor};
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 use srflow_nn::{AdamW, ModuleAdamW, Rounding, with_batch_statistics};
 
 use crate::classifier::Classifier;

@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, write_image_png};
+use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
+use srflow_files::write_image_png;
 use srflow_mer::{
     ApexRule, Channel, FaceCrop, FeatureCache, Landmarks, Method, Preparation, ResizeOrder, apex_errors,
     extract, fill_apexes, spot_apex,

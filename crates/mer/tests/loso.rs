@@ -3,8 +3,8 @@
 use std::path::Path;
 use std::sync::Mutex;
 
-use srflow_field::Plane;
-use srflow_field::random::Key;
+use srflow_core::Plane;
+use srflow_core::random::Key;
 use srflow_mer::{
     Classifier, FEATURE_SIDE, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError, LosoEvent, OffTaNet,
     Protocol, Sample, StstNet, Summary, leave_one_subject_out, leave_one_subject_out_by, read_predictions,

@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use srflow_field::resize::resize_cubic;
-use srflow_field::{Array, FlowField, Image, Plane, read_npy, read_npy_plane};
+use srflow_core::resize::resize_cubic;
+use srflow_core::{FlowField, Image, Plane};
+use srflow_files::{Array, read_npy, read_npy_plane};
 use srflow_mer::{StrainFormula, optical_strain};
 
 fn golden(name: &str) -> std::path::PathBuf {

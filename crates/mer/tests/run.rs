@@ -4,8 +4,9 @@ use std::io::Read as _;
 use std::path::Path;
 use std::sync::Mutex;
 
+use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
 use srflow_eval::MethodRecord;
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, write_image_png};
+use srflow_files::write_image_png;
 use srflow_mer::{
     ApexRule, ClassifierEntry, FeatureRecipe, Preparation, Protocol, RunError, RunEvent, RunFolders,
     RunMethod, RunResults, RunSettings, Sets, compute_features, run, write_features,

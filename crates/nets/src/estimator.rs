@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
-use srflow_field::{
+use srflow_core::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Plane, check_frame_sizes,
     forward_interpolate,
 };

@@ -2,7 +2,7 @@
 
 use burn::tensor::Device;
 use sha2::{Digest, Sha256};
-use srflow_field::hexadecimal;
+use srflow_files::hexadecimal;
 use srflow_nn::{parameters_of_safetensors, with_parameters};
 
 use crate::table::{Architecture, Network};

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use srflow_field::FileError;
+use srflow_files::FileError;
 use srflow_nn::{About, StoredAs, save_parameters, save_pytorch};
 
 use crate::settings::Setting;

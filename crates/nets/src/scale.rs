@@ -1,7 +1,7 @@
 //! Estimates flow on resized frames.
 
-use srflow_field::resize::{resize_flow_antialiased, resize_image_antialiased, resize_plane_antialiased};
-use srflow_field::{
+use srflow_core::resize::{resize_flow_antialiased, resize_image_antialiased, resize_plane_antialiased};
+use srflow_core::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, check_frame_sizes,
 };
 
@@ -126,7 +126,7 @@ fn resized(estimate: FlowEstimate, size: (usize, usize)) -> FlowEstimate {
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::Plane;
+    use srflow_core::Plane;
 
     use super::*;
 

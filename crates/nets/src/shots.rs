@@ -1,6 +1,6 @@
 //! Detects cuts between the shots of a video.
 
-use srflow_field::Image;
+use srflow_core::Image;
 
 /// Cells along each side of a frame.
 const CELLS: usize = 4;

@@ -13,7 +13,7 @@ use burn::tensor::ops::AvgPoolOptions;
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use srflow_classical::{TvL1, TvL1Parameters};
-use srflow_field::Plane;
+use srflow_core::Plane;
 use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation::{Identity, LeakyRelu};

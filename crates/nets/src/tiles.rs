@@ -4,7 +4,7 @@
 //! that leaves the tile by more than the overlap, attention in GMA and its relatives, and the statistics of instance norm.
 //! Overlapping tiles are blended with weights that fall smoothly towards their edges.
 
-use srflow_field::{
+use srflow_core::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Plane, check_frame_sizes,
 };
 

@@ -4,9 +4,7 @@ use std::num::NonZeroUsize;
 
 use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_field::{
-    EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, Plane, forward_interpolate,
-};
+use srflow_core::{EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, Plane, forward_interpolate};
 use srflow_nets::{
     Architecture, Frames, Iterations, Network, NetworkEstimator, Padding, Request, Scaled, TileSize, Tiled,
     Tiling,

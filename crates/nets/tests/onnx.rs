@@ -12,7 +12,7 @@ use std::process::Command;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use inputs::{filled, frame};
-use srflow_field::{FlowEstimator, FlowField, Image, Size};
+use srflow_core::{FlowEstimator, FlowField, Image, Size};
 use srflow_golden::{Golden, numbers};
 use srflow_nets::{
     Architecture, Frames, Network, NetworkEstimator, OnnxOptions, Request, Start, load_included,

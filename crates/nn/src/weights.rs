@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use burn::module::Module;
-use srflow_field::{FileError, write_atomically};
+use srflow_files::{FileError, write_atomically};
 
 use crate::checkpoint::{About, Checkpoint, Format, StoredAs, safetensors_bytes};
 use crate::parameters::{Parameters, ParametersError, compare, parameter_infos, parameters, with_parameters};

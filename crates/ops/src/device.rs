@@ -3,7 +3,7 @@
 use burn::tensor::Device;
 #[cfg(feature = "cube")]
 use burn::tensor::DeviceType;
-use srflow_device::{DeviceError, DeviceName};
+use srflow_simd::{DeviceError, DeviceName};
 
 #[cfg(all(feature = "cube", not(any(feature = "cuda", feature = "vulkan"))))]
 compile_error!("the feature `cube` is the common part of `cuda` and `vulkan`: turn on one of these");

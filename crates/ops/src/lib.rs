@@ -30,7 +30,7 @@ pub use precision::{
     Precision, PrecisionError, check_precision, fastest_precision, precision, precisions, with_precision,
 };
 pub use reusing_allocator::ReusingAllocator;
-pub use srflow_device::{DeviceError, device_kinds};
+pub use srflow_simd::{DeviceError, device_kinds};
 pub use weight_cache::WeightCache;
 
 pub mod activation;

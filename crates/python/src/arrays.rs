@@ -6,7 +6,7 @@ use numpy::{
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use srflow_field::{FlowField, Image, Mask, Plane};
+use srflow_core::{FlowField, Image, Mask, Plane};
 
 /// An array, an object with `__array__` (a tensor, a Pillow image, lists), or one with `__dlpack__`.
 fn array<'py>(object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyUntypedArray>> {

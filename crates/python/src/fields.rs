@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use srflow_field::{Tolerance, flow_colors, forward_backward_check, score};
+use srflow_core::{Tolerance, flow_colors, forward_backward_check, score};
 
 use crate::arrays;
 use crate::compute::compute;
@@ -17,7 +17,7 @@ use crate::errors::exception;
 #[pyfunction]
 #[pyo3(signature = (path: "str | os.PathLike[str]") -> "NDArray[np.float32]")]
 pub fn read_flow(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
-    let flow = compute(py, move || srflow_field::read_flow(&path))?.map_err(exception)?;
+    let flow = compute(py, move || srflow_files::read_flow(&path))?.map_err(exception)?;
     arrays::from_flow(py, flow)
 }
 
@@ -28,7 +28,7 @@ pub fn read_flow(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
 #[pyo3(signature = (path: "str | os.PathLike[str]", flow: "ArrayLike") -> "None")]
 pub fn write_flow(py: Python<'_>, path: PathBuf, flow: &Bound<'_, PyAny>) -> PyResult<()> {
     let flow = arrays::flow(flow, "flow")?;
-    compute(py, move || srflow_field::write_flow(&path, &flow))?.map_err(exception)
+    compute(py, move || srflow_files::write_flow(&path, &flow))?.map_err(exception)
 }
 
 /// A flow as a picture in Middlebury's colours: hue is direction, saturation is length, unknown pixels are black.
@@ -62,7 +62,7 @@ pub fn warp<'py>(
     flow: &Bound<'py, PyAny>,
 ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
     let (frame2, flow) = (arrays::image(frame2, "frame2")?, arrays::flow(flow, "flow")?);
-    let (image, valid) = compute(py, move || srflow_field::warp(&frame2, &flow))?.map_err(exception)?;
+    let (image, valid) = compute(py, move || srflow_core::warp(&frame2, &flow))?.map_err(exception)?;
     Ok((arrays::from_image(py, image)?, arrays::from_mask(py, valid)?))
 }
 

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use srflow_field::{EstimateError, FlowEstimate, FlowEstimator, Image};
+use srflow_core::{EstimateError, FlowEstimate, FlowEstimator, Image};
 use srflow_nets::Architecture;
 
 use crate::arrays;

@@ -6,7 +6,7 @@ use glam::Vec2;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
-use srflow_field::parse_color;
+use srflow_core::parse_color;
 use srflow_splat::{
     CameraGradient, Frame, FrameGradients, GaussianGradients, Next, Options, Outputs, PixelConvention,
     RasterizeError, Rasterizer, Sorting,

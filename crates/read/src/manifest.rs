@@ -23,7 +23,8 @@ mod recording;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileError, FileKind, FlowFormat, excerpt, named, read_text};
+use srflow_core::{excerpt, named};
+use srflow_files::{FileError, FileKind, FlowFormat, read_text};
 
 pub use recording::Recording;
 
@@ -258,7 +259,7 @@ impl Manifest {
             }
         }
         let manifest: Self = serde_json::from_value(value)
-            .map_err(|error| broken(srflow_field::parse_error_in_words(&error)))?;
+            .map_err(|error| broken(srflow_files::parse_error_in_words(&error)))?;
         manifest.validate().map_err(broken)?;
         Ok(manifest)
     }

@@ -6,7 +6,8 @@
 use std::path::Path;
 
 use serde::Serialize;
-use srflow_field::{FileError, FileProblem, Labels, named, read_labels};
+use srflow_core::{Labels, named};
+use srflow_files::{FileError, FileProblem, read_labels};
 
 /// A part of a head as pixels show it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -66,7 +67,7 @@ pub(crate) fn check_region_map(map: &Labels) -> Result<(), FileProblem> {
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::write_labels_png;
+    use srflow_files::write_labels_png;
 
     use super::*;
 

@@ -2,8 +2,8 @@
 
 use proptest::prelude::*;
 use rayon::prelude::*;
-use srflow_field::random::Key;
-use srflow_field::{FlowField, Image, Mask, warp};
+use srflow_core::random::Key;
+use srflow_core::{FlowField, Image, Mask, warp};
 use srflow_read::augment::{AugmentConfig, Augmentation};
 use srflow_read::flow::{Sample, TruthDensity};
 

@@ -4,9 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use rayon::prelude::*;
-use srflow_field::{
-    FlowField, Image, Labels, Mask, write_flow, write_image_png, write_labels_png, write_mask_png, write_npy,
-};
+use srflow_core::{FlowField, Image, Labels, Mask};
+use srflow_files::{write_flow, write_image_png, write_labels_png, write_mask_png, write_npy};
 use srflow_read::flow::{DatasetSpec, FlowDataset, Sample, Split};
 use tempfile::TempDir;
 

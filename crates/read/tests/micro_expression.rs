@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use srflow_field::{Image, write_image_png};
+use srflow_core::Image;
+use srflow_files::write_image_png;
 use srflow_read::micro_expression::{
     Annotation, CLIP_KINDS, Classes, ClipDataset, ClipSource, DropReason, Labels, count_classes,
     published_counts, write_plain,

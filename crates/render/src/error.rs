@@ -3,7 +3,7 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::HeadModelError;
-use srflow_field::FileError;
+use srflow_files::FileError;
 use srflow_read::manifest::ManifestError;
 use srflow_read::micro_expression::MicroExpressionError;
 use srflow_splat::RasterizeError;

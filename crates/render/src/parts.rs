@@ -1,7 +1,7 @@
 //! Recognizes the part of the head that each pixel shows: the one whose Gaussians have the largest weight in it.
 
 use srflow_avatar::{Avatar, Region};
-use srflow_field::Plane;
+use srflow_core::Plane;
 use srflow_read::region_map::HeadPart;
 use srflow_splat::{Camera, DeviceRasterizer, Frame, Gaussians, Options, Outputs, RasterizeError, SH_0};
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileKind, read_text};
+use srflow_files::{FileKind, read_text};
 
 use crate::RenderError;
 use crate::statistics::FlowSummary;
@@ -58,7 +58,7 @@ pub(crate) fn read_record<T: DeserializeOwned>(path: &Path) -> Result<T, RenderE
     let text = read_text(path, FileKind::Json)?;
     serde_json::from_str(&text).map_err(|error| RenderError::Malformed {
         path: path.to_owned(),
-        reason: srflow_field::parse_error_in_words(&error),
+        reason: srflow_files::parse_error_in_words(&error),
     })
 }
 
@@ -66,7 +66,7 @@ pub(crate) fn read_record<T: DeserializeOwned>(path: &Path) -> Result<T, RenderE
 pub(crate) mod format_name {
     use serde::de::Error;
     use serde::{Deserialize, Deserializer, Serializer};
-    use srflow_field::FlowFormat;
+    use srflow_files::FlowFormat;
 
     pub fn serialize<S: Serializer>(format: &FlowFormat, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.serialize_str(format.extension())
@@ -93,6 +93,6 @@ impl PairRecord {
     pub fn read(path: &Path) -> Result<Self, RecordError> {
         let failed = |reason| RecordError { path: path.to_owned(), reason };
         let text = read_text(path, FileKind::Json).map_err(|error| failed(error.problem.to_string()))?;
-        serde_json::from_str(&text).map_err(|error| failed(srflow_field::parse_error_in_words(&error)))
+        serde_json::from_str(&text).map_err(|error| failed(srflow_files::parse_error_in_words(&error)))
     }
 }

@@ -1,7 +1,7 @@
 //! Statistics of a dataset: the paper's Table I and a histogram of flow magnitudes.
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FlowField, Mask};
+use srflow_core::{FlowField, Mask};
 
 use srflow_read::manifest::{Manifest, SceneSplit};
 

@@ -6,7 +6,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use srflow_field::{FlowField, Labels, read_flow, read_labels, write_flow, write_labels_png};
+use srflow_core::{FlowField, Labels};
+use srflow_files::{read_flow, read_labels, write_flow, write_labels_png};
 use srflow_render::check::check;
 use srflow_render::generate::{Settings, generate};
 use srflow_render::job::Request;

@@ -3,7 +3,7 @@
 
 mod tiny;
 
-use srflow_field::{read_flow, read_image, read_mask};
+use srflow_files::{read_flow, read_image, read_mask};
 use srflow_read::manifest::Manifest;
 use srflow_render::check::check_rerendered;
 use srflow_render::generate::{Settings, generate};

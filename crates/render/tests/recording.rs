@@ -6,8 +6,9 @@ mod tree;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use srflow_field::read_image;
-use srflow_field::{SHA256SUMS, Shard};
+use srflow_core::Shard;
+use srflow_files::SHA256SUMS;
+use srflow_files::read_image;
 use srflow_read::manifest::{Manifest, Recording};
 use srflow_render::check::check;
 use srflow_render::generate::{Background, MotionSource, Settings, generate};

@@ -5,8 +5,9 @@ mod tree;
 
 use std::path::{Path, PathBuf};
 
-use srflow_field::{SHA256SUMS, Shard};
-use srflow_field::{read_labels, read_mask};
+use srflow_core::Shard;
+use srflow_files::SHA256SUMS;
+use srflow_files::{read_labels, read_mask};
 use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 use srflow_read::manifest::Manifest;
 use srflow_read::region_map::HeadPart;

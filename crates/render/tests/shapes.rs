@@ -5,8 +5,9 @@ mod tree;
 use std::fs;
 use std::path::Path;
 
-use srflow_field::Shard;
-use srflow_field::{Image, read_flow, read_image, read_mask, write_image_png};
+use srflow_core::Image;
+use srflow_core::Shard;
+use srflow_files::{read_flow, read_image, read_mask, write_image_png};
 use srflow_read::flow::{FlowDataset, Split};
 use srflow_render::RenderError;
 use srflow_render::job::Request;

@@ -6,8 +6,8 @@ use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
 
-use srflow_field::Shard;
-use srflow_field::{read_flow, read_image, read_mask};
+use srflow_core::Shard;
+use srflow_files::{read_flow, read_image, read_mask};
 use srflow_read::micro_expression::{Classes, ClipDataset, count_classes};
 use srflow_render::RenderError;
 use srflow_render::job::{Event, Request};

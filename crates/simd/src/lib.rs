@@ -1,4 +1,5 @@
-//! Vector instructions behind one interface, matrix products on slices, and writing one buffer from several threads.
+//! Vector instructions behind one interface, matrix products on slices, writing one buffer from several threads, and the names of
+//! the devices that other crates compute on.
 //!
 //! A kernel is written once over [`Simd`] (or as plain loops, which the compiler vectorises) and compiled for every
 //! instruction set by [`dispatch!`] or [`multiversioned!`]. An [`Isa`] holds a token that only detection can create, so code
@@ -19,6 +20,7 @@ mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
 mod bf16;
+mod device;
 mod functions;
 mod isa;
 mod packed;
@@ -36,6 +38,7 @@ pub use avx512::Avx512;
 #[cfg(target_arch = "x86_64")]
 pub use bf16::Avx512Bf16;
 pub use bf16::{Multiply, Numbers, Pair, PairsInSteps, Precision, pair_neighbours, pair_rows, pair_up};
+pub use device::{DeviceError, DeviceName, device_kinds};
 pub use functions::{exp, exp2, ln_1p};
 pub use isa::Isa;
 pub use packed::{Left, Packed};

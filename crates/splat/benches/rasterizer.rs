@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use criterion::Criterion;
 use glam::{DMat4, DVec3, EulerRot, Quat, Vec3};
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 use srflow_splat::{
     Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Next, Options, Outputs, Rasterizer, Sorting,
 };

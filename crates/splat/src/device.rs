@@ -1,4 +1,4 @@
-use srflow_device::{DeviceError, DeviceName};
+use srflow_simd::{DeviceError, DeviceName};
 
 use crate::{Camera, Frame, Gaussians, Next, Options, RasterizeError, Rasterizer};
 

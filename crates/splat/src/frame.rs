@@ -1,6 +1,6 @@
 use std::ops::Range;
 
-use srflow_field::{FlowField, Image, Mask, Plane};
+use srflow_core::{FlowField, Image, Mask, Plane};
 
 use crate::strip::to_byte;
 

@@ -132,7 +132,7 @@ impl<T: Copy + Default> Bins<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     #[test]
     fn radix_sort_is_a_stable_sort_of_the_high_half() {

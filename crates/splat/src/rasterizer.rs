@@ -1,4 +1,4 @@
-use srflow_field::Spares;
+use srflow_core::Spares;
 use srflow_simd::{Isa, dispatch};
 
 use crate::backward::{self, Rendering};

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::DType;
 use serde::{Deserialize, Serialize};
-use srflow_field::{
+use srflow_files::{
     FileError, FileKind, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text, remove_partial,
     write_file,
 };

@@ -1,8 +1,8 @@
 //! Samples that are made while training.
 
 use rayon::ThreadPool;
-use srflow_field::random::Key;
-use srflow_field::{Recent, Spares};
+use srflow_core::random::Key;
+use srflow_core::{Recent, Spares};
 use srflow_read::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
 
 use crate::config::{Config, MadeKind, MadeSpec};
@@ -122,7 +122,7 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use srflow_field::{FlowField, Image};
+    use srflow_core::{FlowField, Image};
 
     use super::*;
     use crate::batch::Batch;

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileError, LockError, RunLock, create_folder, write_file};
+use srflow_files::{FileError, LockError, RunLock, create_folder, write_file};
 use srflow_nets::about;
 use srflow_nn::{AdamW, AdamWState, Rounding, WeightsError, clip_norm};
 use srflow_ops::{PrecisionError, check_precision};

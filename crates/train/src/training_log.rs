@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use srflow_core::Metrics;
 use srflow_eval::SCORES;
-use srflow_field::{FileError, FileProblem, JsonLines, Metrics, read_json_lines};
+use srflow_files::{FileError, FileProblem, JsonLines, read_json_lines};
 
 use crate::tensorboard::EventFile;
 

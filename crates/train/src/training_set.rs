@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use srflow_field::Size;
-use srflow_field::random::Key;
+use srflow_core::Size;
+use srflow_core::random::Key;
 use srflow_read::augment::{AugmentError, Augmentation};
 use srflow_read::flow::{
     DatasetError, DatasetSpec, Entry, FlowDataset, MadeError, MadePairs, Sample, Split, TruthDensity,

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use burn::tensor::Device;
-use srflow_field::{FlowField, Image, Mask, write_flow, write_image_png};
+use srflow_core::{FlowField, Image, Mask};
+use srflow_files::{write_flow, write_image_png};
 use srflow_nets::Architecture;
 use srflow_ops::Precision;
 use srflow_read::flow::Sample;

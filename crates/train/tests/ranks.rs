@@ -7,7 +7,8 @@ use std::path::Path;
 use std::sync::{Arc, Barrier, Mutex};
 
 use burn::tensor::Device;
-use srflow_field::{FlowField, Image, write_flow, write_image_png};
+use srflow_core::{FlowField, Image};
+use srflow_files::{write_flow, write_image_png};
 use srflow_train::config::Config;
 use srflow_train::ranks::{Alone, Communicator};
 use srflow_train::training_log::{Record, read_log};

@@ -1,7 +1,7 @@
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use maud::{DOCTYPE, PreEscaped, html};
-use srflow_field::printable;
+use srflow_core::printable;
 
 use crate::pack::Pack;
 

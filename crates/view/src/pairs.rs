@@ -1,7 +1,7 @@
 //! Pairs of a dataset, or flow alone.
 
 use serde_json::{Value, json};
-use srflow_field::{FlowField, Image, Mask, Plane};
+use srflow_core::{FlowField, Image, Mask, Plane};
 
 use crate::pack::Pack;
 use crate::splats::ViewError;

@@ -156,7 +156,7 @@ pub fn vertex_gradients(
 #[cfg(test)]
 mod tests {
     use glam::{DMat3, DQuat, DVec4};
-    use srflow_field::random::{Key, Stream};
+    use srflow_core::random::{Key, Stream};
     use srflow_splat::Gaussians;
 
     use super::*;

@@ -1,5 +1,5 @@
 use glam::{Vec2, Vec3};
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 
 macro_rules! traits {
     ($($name:ident),* $(,)?) => {

@@ -405,7 +405,7 @@ fn lips_part() {
 #[test]
 fn any_combination_of_action_units_is_finite() {
     let head = HeadModel::builtin(0);
-    let stream = &mut srflow_field::random::Key::new(1).stream("test");
+    let stream = &mut srflow_core::random::Key::new(1).stream("test");
     for _ in 0..40 {
         let units: Vec<(u8, Side, f32)> = HALVED
             .into_iter()

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::{DMat4, DVec3, Vec3};
-use srflow_field::{FileError, create_folder};
+use srflow_files::{FileError, create_folder};
 
 use super::{CANONICAL_NAME, CaptureView, HeadRecord, write_transforms};
 use crate::{HeadModel, HeadParameters, PoseParameters};

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileError, FileKind, parse_error_in_words, read_text, write_file};
+use srflow_files::{FileError, FileKind, parse_error_in_words, read_text, write_file};
 
 use super::problem;
 use crate::{HeadModel, HeadSource};

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use srflow_field::{FileError, FileProblem, excerpt, excerpts, read_image_size};
+use srflow_core::{excerpt, excerpts};
+use srflow_files::{FileError, FileProblem, read_image_size};
 use srflow_splat::{Camera, NamedCamera, read_cameras};
 
 use super::{Capture, CaptureSplit, CaptureView, problem};
@@ -288,7 +289,8 @@ fn files_below(dir: &Path) -> Result<Vec<String>, FileError> {
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::{Image, write_image_png};
+    use srflow_core::Image;
+    use srflow_files::write_image_png;
 
     use super::*;
 

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-use srflow_field::{FileError, FileKind, read_text, write_atomically};
+use srflow_files::{FileError, FileKind, read_text, write_atomically};
 
 use super::problem;
 

@@ -25,7 +25,8 @@ mod write;
 
 use std::path::{Path, PathBuf};
 
-use srflow_field::{FileError, FileProblem, Image, Plane, read_image};
+use srflow_core::{Image, Plane};
+use srflow_files::{FileError, FileProblem, read_image};
 use srflow_splat::Camera;
 
 pub use export::{PARAMETERS_FOLDER, parameters_name, write_canonical, write_tracked};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
-use srflow_field::{FileError, FileKind, FileProblem, parse_error_in_words, read_file};
+use srflow_files::{FileError, FileKind, FileProblem, parse_error_in_words, read_file};
 use srflow_splat::read_cameras;
 
 use super::{CANONICAL_NAME, Capture, CaptureSplit, CaptureView, problem};

@@ -1,7 +1,7 @@
 //! Training, validation and test pictures, as VHAP divides them (`split_json`).
 
 use serde::Serialize;
-use srflow_field::named;
+use srflow_core::named;
 
 /// What a picture of a capture is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]

@@ -2,7 +2,8 @@ use std::fs;
 
 use glam::{DMat3, DVec3, Quat, Vec3};
 use serde_json::{Value, json};
-use srflow_field::{Image, NpzArray, write_image_png, write_npz};
+use srflow_core::Image;
+use srflow_files::{NpzArray, write_image_png, write_npz};
 use srflow_splat::Camera;
 
 use super::*;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::DMat4;
 use serde::Serialize;
-use srflow_field::{FileError, write_file};
+use srflow_files::{FileError, write_file};
 use srflow_splat::Camera;
 
 use super::{CaptureSplit, CaptureView};

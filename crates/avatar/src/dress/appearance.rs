@@ -1,7 +1,7 @@
 //! A person's appearance apart from the shape of the head, drawn from the seed.
 
 use glam::Vec3;
-use srflow_field::random::{Key, Stream};
+use srflow_core::random::{Key, Stream};
 
 use super::light::linear_from_srgb;
 

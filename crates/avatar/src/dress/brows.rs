@@ -1,7 +1,7 @@
 //! Eyebrows, hair by hair, along the landmarks of the brows.
 
 use glam::Vec3;
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 
 use super::strand::{Strand, add_strand};
 use super::surface::SurfacePoint;

@@ -1,7 +1,7 @@
 //! The colour and relief of the skin at every point: lips, flush, beard shadow and clothing.
 
 use glam::Vec3;
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 
 use super::appearance::{Appearance, HairStyle};
 use super::light::{Exposure, Material, shade};

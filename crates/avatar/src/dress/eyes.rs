@@ -3,7 +3,7 @@
 use std::f32::consts::TAU;
 
 use glam::Vec3;
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 
 use super::light::{Exposure, Material, shade};
 use super::noise::Noise;

@@ -1,7 +1,7 @@
 //! Head hair: strands grown from the scalp, combed by style, kept outside the head and shaded along their length.
 
 use glam::Vec3;
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 
 use super::appearance::HairStyle;
 use super::light::Exposure;

@@ -1,7 +1,7 @@
 //! Eyelashes along the rims of the lids.
 
 use glam::Vec3;
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 
 use super::strand::{Strand, add_strand};
 use super::{Dressing, catmull_rom, near_triangles, nearest_point};

@@ -16,7 +16,7 @@ mod strand;
 mod surface;
 
 use glam::Vec3;
-use srflow_field::random::{Key, Stream};
+use srflow_core::random::{Key, Stream};
 
 use crate::binding::{BoundGaussians, Splat};
 use crate::{HeadModel, Region, ShapedHead};

@@ -105,7 +105,7 @@ fn hits(&[corner, edge1, edge2]: &[Vec3; 3], origin: Vec3, direction: Vec3, reac
 #[cfg(test)]
 mod tests {
     use super::*;
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     #[test]
     fn agrees_with_trying_every_triangle() {

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use glam::{IVec3, Quat, Vec3};
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 
 use crate::binding::TriangleFrame;
 use crate::{HeadModel, Region, ShapedHead};

@@ -112,7 +112,7 @@ impl System {
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::*;
 

@@ -139,7 +139,7 @@ pub(super) fn largest_eigenvector(matrix: DMat4) -> DVec4 {
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::*;
 

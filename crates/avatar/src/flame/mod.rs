@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
-use srflow_field::{Array, FileError, FileProblem};
+use srflow_files::{Array, FileError, FileProblem};
 
 use self::source::Source;
 use self::teeth::Teeth;

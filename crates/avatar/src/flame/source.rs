@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use srflow_field::{Array, FileError, FileProblem, Npz};
+use srflow_files::{Array, FileError, FileProblem, Npz};
 
 use crate::pickle::{Matrix, Pickle};
 

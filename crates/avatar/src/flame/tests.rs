@@ -1,8 +1,8 @@
 use std::path::PathBuf;
 
 use serde::Deserialize;
-use srflow_field::random::Key;
-use srflow_field::{NpzArray, write_npz};
+use srflow_core::random::Key;
+use srflow_files::{NpzArray, write_npz};
 
 use super::*;
 use crate::{HeadParameters, HeadPose};

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use glam::{DMat3, DMat4, DVec3, Vec2, Vec3};
-use srflow_field::{FileKind, FileProblem};
+use srflow_files::{FileKind, FileProblem};
 use srflow_splat::gltf::{Document, Node, Placed, Primitive, TRIANGLES};
 
 use crate::arkit::action_units;

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use glam::Quat;
 use serde_json::{Value, json};
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 
 use super::*;
 use crate::{HeadPose, Side};

@@ -1,5 +1,5 @@
 use glam::{DMat4, DQuat, DVec3, Quat, Vec2, Vec3};
-use srflow_field::random::{Key, Stream};
+use srflow_core::random::{Key, Stream};
 
 use super::*;
 

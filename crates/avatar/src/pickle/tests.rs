@@ -1,4 +1,4 @@
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 
 use super::*;
 

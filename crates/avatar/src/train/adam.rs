@@ -2,7 +2,7 @@
 
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
-use srflow_field::FileError;
+use srflow_files::FileError;
 use srflow_simd::{Isa, Simd, dispatch, exp2};
 use srflow_splat::Gaussians;
 
@@ -395,7 +395,7 @@ fn update_kernel<S: Simd>(s: S, link: Link, constants: Constants, rates: &[f32],
 #[cfg(test)]
 mod tests {
     use glam::Quat;
-    use srflow_field::random::{Key, Stream};
+    use srflow_core::random::{Key, Stream};
 
     use super::*;
 

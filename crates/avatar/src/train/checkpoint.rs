@@ -6,7 +6,8 @@ use std::path::Path;
 
 use glam::{Quat, Vec3};
 use serde_json::{Map, Value};
-use srflow_field::{FileError, FileProblem, Npz, NpzArray, excerpt, parse_error_in_words, write_npz};
+use srflow_core::excerpt;
+use srflow_files::{FileError, FileProblem, Npz, NpzArray, parse_error_in_words, write_npz};
 use srflow_splat::Gaussians;
 
 use super::TrainConfig;

@@ -1,7 +1,7 @@
 //! The configuration of a training.
 
 use serde::{Deserialize, Serialize};
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 use srflow_splat::{Options, Outputs, Sorting};
 
 use super::{DensityControl, Mcmc, PoseRates, RateSchedule, Regularizers, Strategy};

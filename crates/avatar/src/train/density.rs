@@ -4,8 +4,8 @@
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use srflow_field::FileError;
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
+use srflow_files::FileError;
 use srflow_splat::{GaussianGradients, Gaussians};
 
 use super::checkpoint::{Checkpoint, Lists};
@@ -320,7 +320,7 @@ fn spare_last(heirs: &mut [Heir], bound: &BoundGaussians, scene: &DensityScene<'
 #[cfg(test)]
 mod tests {
     use glam::{Quat, Vec2};
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::*;
 

@@ -302,7 +302,7 @@ fn gradient_kernel<S: Simd>(
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::*;
 

@@ -1,7 +1,7 @@
 //! What training starts from.
 
 use glam::{Quat, Vec3};
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 use srflow_splat::{Camera, Gaussians};
 
 use crate::BoundGaussians;

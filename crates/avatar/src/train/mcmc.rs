@@ -4,7 +4,7 @@
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 use srflow_splat::Gaussians;
 
 use super::density::most_opaque;
@@ -163,7 +163,7 @@ fn relocated(opacity: f64, count: u32) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use glam::Quat;
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::*;
 

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
-use srflow_field::FileError;
+use srflow_files::FileError;
 
 use super::checkpoint::{Checkpoint, Lists};
 use crate::{HeadGradient, HeadModel, JointRole, PoseParameters, rotation_of_axis_angle};
@@ -197,7 +197,7 @@ fn slopes(model: &HeadModel, pose: &PoseParameters, gradient: &HeadGradient) -> 
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::*;
 

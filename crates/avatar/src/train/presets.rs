@@ -1,4 +1,4 @@
-use srflow_field::Preset;
+use srflow_files::Preset;
 
 macro_rules! presets {
     ($($name:literal),*) => {
@@ -6,14 +6,14 @@ macro_rules! presets {
     };
 }
 
-/// The built-in configurations of trainings, the default first; [`srflow_field::read_settings`] reads them.
+/// The built-in configurations of trainings, the default first; [`srflow_files::read_settings`] reads them.
 pub const PRESETS: &[Preset] = presets!["gaussian-avatars", "cpu"];
 
 #[cfg(test)]
 mod tests {
     use std::path::Path;
 
-    use srflow_field::{parse_settings, read_settings, settings_text};
+    use srflow_files::{parse_settings, read_settings, settings_text};
 
     use super::*;
     use crate::train::TrainConfig;

@@ -76,7 +76,7 @@ impl Regularizers {
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::*;
 

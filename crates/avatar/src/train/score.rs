@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use srflow_field::Image;
+use srflow_core::Image;
 use srflow_splat::{Frame, Gaussians, Rasterizer};
 
 use super::image_loss::{ImageLoss, ImageLossError};

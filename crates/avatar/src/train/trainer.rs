@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_field::random::Key;
-use srflow_field::{FileError, FileProblem, Image};
+use srflow_core::Image;
+use srflow_core::random::Key;
+use srflow_files::{FileError, FileProblem};
 use srflow_splat::{
     Frame, FrameGradients, GaussianGradients, Gaussians, Options, RasterizeError, Rasterizer,
 };

@@ -1,7 +1,7 @@
 //! Polynomial expansion: around each pixel the image is fitted by `d^T A d + b^T d + c`, `d` the offset in pixels.
 
 use rayon::prelude::*;
-use srflow_field::Plane;
+use srflow_core::Plane;
 
 use srflow_simd::multiversioned;
 

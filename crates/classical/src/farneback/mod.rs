@@ -11,8 +11,8 @@ mod strips;
 mod update;
 mod window;
 
-use srflow_field::resize::{resize_linear_of_two, shrink_area};
-use srflow_field::{
+use srflow_core::resize::{resize_linear_of_two, shrink_area};
+use srflow_core::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, check_frame_sizes,
     forward_interpolate, luminance,
 };

@@ -1,8 +1,8 @@
 //! The pyramid: every level is computed from the full-size frame, blurred for that level and then resized.
 
 use rayon::prelude::*;
-use srflow_field::Plane;
-use srflow_field::resize::resize_linear;
+use srflow_core::Plane;
+use srflow_core::resize::resize_linear;
 
 use srflow_simd::multiversioned;
 

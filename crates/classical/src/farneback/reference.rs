@@ -1,6 +1,6 @@
 //! The kernels of the method as plain scalar code over the whole image: the fast kernels must match them bit for bit.
 
-use srflow_field::Plane;
+use srflow_core::Plane;
 
 use super::evidence::border_weight;
 use super::expansion::ExpansionKernel;
@@ -200,7 +200,7 @@ fn sum_of_powers(at: &dyn Fn(usize) -> f64, start: usize, len: usize) -> f64 {
 }
 
 mod tests {
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::super::expansion::{COEFFICIENTS, Expansion};
     use super::super::pyramid;

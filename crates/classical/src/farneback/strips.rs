@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use srflow_field::Plane;
+use srflow_core::Plane;
 
 use crate::planar::PlanarFlow;
 

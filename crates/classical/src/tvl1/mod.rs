@@ -10,8 +10,8 @@ mod relaxation;
 mod state;
 mod warp;
 
-use srflow_field::resize::{resize_linear, resize_linear_by};
-use srflow_field::{
+use srflow_core::resize::{resize_linear, resize_linear_by};
+use srflow_core::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, Plane, check_frame_sizes, luminance,
 };
 

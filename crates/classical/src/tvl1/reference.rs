@@ -1,6 +1,6 @@
 //! The kernels of the method as plain scalar code over the whole image: the fast kernels must match them bit for bit.
 
-use srflow_field::Plane;
+use srflow_core::Plane;
 
 use super::relaxation::{Constants, LANES};
 use super::warp::{INVERSE_OF_NOTHING, cubic_weights};
@@ -138,7 +138,7 @@ pub fn median(plane: &Plane, side: usize) -> Plane {
 }
 
 mod tests {
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::super::TvL1Parameters;
     use super::super::relaxation::Relaxation;

@@ -2,7 +2,7 @@
 //! rows.
 
 use rayon::prelude::*;
-use srflow_field::Plane;
+use srflow_core::Plane;
 
 use crate::planar::PlanarFlow;
 

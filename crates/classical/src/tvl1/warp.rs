@@ -1,7 +1,7 @@
 //! Warping the second frame by the flow, and the residual around it to first order.
 
 use rayon::prelude::*;
-use srflow_field::Plane;
+use srflow_core::Plane;
 
 use super::state::{Linearized, MARGIN, State};
 use srflow_simd::multiversioned;

@@ -4,7 +4,7 @@ use anyhow::{Context as _, anyhow};
 use clap::Args;
 use srflow_eval::report::{Page, Section, score_table};
 use srflow_eval::{Table, TextStyle, joined, markdown_file};
-use srflow_field::{create_folder, write_file};
+use srflow_files::{create_folder, write_file};
 use srflow_ops::device;
 use srflow_read::flow::{FlowDataset, Split};
 use srflow_train::ablation::{

@@ -3,9 +3,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
-use srflow_field::{
-    FlowField, FlowFormat, flow_colors, longest_flow, read_flow, write_flow_as, write_image_png,
-};
+use srflow_core::{FlowField, flow_colors, longest_flow};
+use srflow_files::{FlowFormat, read_flow, write_flow_as, write_image_png};
 use srflow_splat::{Gaussians, SplatFormat, Up, read_gaussians, write_gaussians};
 
 use crate::Context;

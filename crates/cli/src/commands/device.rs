@@ -7,7 +7,7 @@ use glam::{DMat4, DVec4, Quat, Vec3};
 use serde::Serialize;
 use serde_json::json;
 use srflow_avatar::{Avatar, HeadPose, PosedHead};
-use srflow_field::{FlowEstimator as _, FlowField, Image, Size};
+use srflow_core::{FlowEstimator as _, FlowField, Image, Size};
 use srflow_nets::{Architecture, NetworkEstimator, load_included, load_network};
 use srflow_ops::{DeviceError, Precision, device_kinds, precisions};
 use srflow_splat::{Camera, Device, DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs};

@@ -4,14 +4,12 @@ use std::str::FromStr;
 use anyhow::{Context as _, bail, ensure};
 use clap::Args;
 use serde::Serialize;
+use srflow_core::{FlowField, Mask, Size, excerpt, excerpts};
 use srflow_eval::{Window, head_window, spread};
-use srflow_field::{
-    FlowField, Mask, Size, create_folder, excerpt, excerpts, read_flow, read_image, write_file,
-    write_image_png,
-};
 use srflow_figure::{
     Column, Composed, Ends, Figure as Grid, Length, Pair, Plan, Scale, Scales, Style, check_text, resolve,
 };
+use srflow_files::{create_folder, read_flow, read_image, write_file, write_image_png};
 use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 
 use crate::Context;

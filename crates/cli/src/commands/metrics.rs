@@ -3,7 +3,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 use clap::Args;
 use serde::Serialize;
-use srflow_field::{FlowField, Mask, Metrics as Scores, read_flow, read_image, read_mask, score};
+use srflow_core::{FlowField, Mask, Metrics as Scores, score};
+use srflow_files::{read_flow, read_image, read_mask};
 use srflow_train::loss::{FlowRegularizer, LossConfig, MaskReading, regularizers_of_flow};
 
 use crate::Context;

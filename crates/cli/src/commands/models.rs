@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, ensure};
 use clap::{Args, Subcommand};
 use serde::Serialize;
-use srflow_field::Size;
+use srflow_core::Size;
 use srflow_nets::{
     Allowed, Architecture, Fit, OnnxError, OnnxOptions, Setting, fits_of_file, load_included, load_network,
     save_network, save_network_onnx, save_network_pytorch, weights_folder,

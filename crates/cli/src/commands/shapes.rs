@@ -1,7 +1,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use srflow_field::{FlowFormat, Size};
+use srflow_core::Size;
+use srflow_files::FlowFormat;
 use srflow_render::shapes::{ShapesReport, ShapesSettings, shapes};
 
 use super::render::{flow_format_help, numbers};

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::ensure;
 use clap::Args;
 use serde_json::{Value, json};
-use srflow_field::{Preset, write_file};
+use srflow_files::{Preset, write_file};
 use srflow_ops::device;
 use srflow_train::config::{Config, PRESETS};
 use srflow_train::ranks::{Alone, Communicator};

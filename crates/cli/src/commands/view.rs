@@ -5,10 +5,9 @@ use anyhow::{Context as _, anyhow, bail, ensure};
 use clap::Args;
 use serde::{Deserialize, Serialize};
 use srflow_avatar::HeadSource;
+use srflow_core::{FlowField, Mask, score};
 use srflow_eval::spread;
-use srflow_field::{
-    FileKind, FlowField, FlowFormat, Mask, parse_error_in_words, read_flow, read_text, score, write_file,
-};
+use srflow_files::{FileKind, FlowFormat, parse_error_in_words, read_flow, read_text, write_file};
 use srflow_read::flow::{DatasetSpec, Entry, FlowDataset, Split, flow_files};
 use srflow_render::generate::MotionSource;
 use srflow_splat::{SplatFormat, Up, read_gaussians};

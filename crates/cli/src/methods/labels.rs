@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
-use srflow_field::{EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image};
+use srflow_core::{EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image};
 
 use super::{Method, MethodSpec};
 

@@ -10,8 +10,8 @@ use std::str::FromStr;
 
 use clap::Args;
 use srflow_classical::{Farneback, FarnebackParameters, Refined, TvL1, TvL1Parameters};
+use srflow_core::{FlowEstimator, FlowField, Image};
 use srflow_eval::{FlowFiles, Zero};
-use srflow_field::{FlowEstimator, FlowField, Image};
 use srflow_nets::{Architecture, Iterations, Scaled, Tiled};
 use srflow_read::flow::FlowDataset;
 

@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 
-use srflow_field::FlowEstimator;
+use srflow_core::FlowEstimator;
 
 use super::{Method, MethodParameters, MethodSpec, estimator};
 use crate::library::parsed;

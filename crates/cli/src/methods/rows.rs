@@ -6,7 +6,7 @@ use anyhow::{Context as _, bail};
 use clap::Args;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
-use srflow_field::{FileKind, parse_error_in_words, read_text};
+use srflow_files::{FileKind, parse_error_in_words, read_text};
 use srflow_nets::Iterations;
 
 use super::{MethodSpec, scored_method};

@@ -7,8 +7,8 @@ use serde_json::Value;
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
 const PIPELINE: [&str; 21] = [
     "srflow-simd",
-    "srflow-field",
-    "srflow-device",
+    "srflow-core",
+    "srflow-files",
     "srflow-splat",
     "srflow-avatar",
     "srflow-fetch",

@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 
 use srflow_avatar::capture::{Capture, HeadRecord};
 use srflow_avatar::{Avatar, HeadParameters};
-use srflow_field::read_image;
+use srflow_files::read_image;
 
 use crate::{fails, json, refuses, succeeds};
 

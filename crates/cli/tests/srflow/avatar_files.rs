@@ -7,8 +7,8 @@ use std::sync::OnceLock;
 
 use srflow_avatar::capture::HeadRecord;
 use srflow_avatar::{Avatar, HeadParameters, Moment, Motion, PoseParameters};
-use srflow_field::random::Key;
-use srflow_field::{read_flow, read_mask, read_npy};
+use srflow_core::random::Key;
+use srflow_files::{read_flow, read_mask, read_npy};
 
 use crate::{json, refuses, succeeds};
 

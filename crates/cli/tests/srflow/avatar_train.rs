@@ -7,7 +7,8 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use srflow_field::{Image, read_image, write_image_png};
+use srflow_core::Image;
+use srflow_files::{read_image, write_image_png};
 
 use crate::{refuses, succeeds};
 

@@ -6,7 +6,8 @@ use std::process::{Command, Output};
 
 use serde_json::{Value, json as value};
 
-use srflow_field::{FlowField, write_flow};
+use srflow_core::FlowField;
+use srflow_files::write_flow;
 
 use crate::frames::{write_frames, write_pairs};
 use crate::tree::tree;

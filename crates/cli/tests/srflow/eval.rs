@@ -5,7 +5,8 @@ use std::path::Path;
 use std::process::Output;
 
 use serde_json::Value;
-use srflow_field::{Labels, Mask, write_labels_png, write_mask_png};
+use srflow_core::{Labels, Mask};
+use srflow_files::{write_labels_png, write_mask_png};
 
 use crate::frames::{write_frames, write_pairs};
 use crate::{json, refuses, succeeds};
@@ -180,7 +181,7 @@ fn a_figure_for_a_paper_shows_the_pairs_that_are_named() {
     let pictures = names.iter().enumerate().map(|(number, name)| format!("{:02}-p1-{name}.png", number + 1));
     let figures = ["figure.pdf", "figure.svg"].map(str::to_owned);
     assert_eq!(files, pictures.chain(figures).collect::<Vec<_>>());
-    let truth = srflow_field::read_image(&figure.join("01-p1-truth.png")).unwrap();
+    let truth = srflow_files::read_image(&figure.join("01-p1-truth.png")).unwrap();
     assert_eq!(truth.size(), SIZE, "in full size");
     let svg = fs::read_to_string(figure.join("figure.svg")).unwrap();
     assert_eq!(svg.matches("<image ").count(), 6 + 2, "the pictures, the wheel and the ramp");

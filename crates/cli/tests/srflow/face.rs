@@ -4,7 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use srflow_field::{Image, read_flow, read_image, write_image_png};
+use srflow_core::Image;
+use srflow_files::{read_flow, read_image, write_image_png};
 
 use crate::frames::{write_frames, write_pairs};
 use crate::{json, refuses, succeeds};

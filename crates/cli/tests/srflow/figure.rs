@@ -4,7 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use srflow_field::{FlowField, flow_colors, read_image, write_flow};
+use srflow_core::{FlowField, flow_colors};
+use srflow_files::{read_image, write_flow};
 
 use crate::frames::{waves, write_pairs};
 use crate::{json, refuses, succeeds};
@@ -127,7 +128,7 @@ fn files_of_other_programs_become_a_figure() {
 fn what_cannot_be_shown_is_refused_in_a_sentence() {
     let dir = pairs();
     write_flow(&dir.path().join("small.flo"), &FlowField::new(9, 9)).unwrap();
-    srflow_field::write_image_png(&dir.path().join("wide.png"), &waves((120, 72), 0.0)).unwrap();
+    srflow_files::write_image_png(&dir.path().join("wide.png"), &waves((120, 72), 0.0)).unwrap();
     fs::write(dir.path().join("broken.flo"), b"PIEH").unwrap();
     let set = ["--dataset", "folder:set", "--method", "tvl1", "-o", "x.pdf"];
     let frames = ["--frames", "set/p0_img1.png", "set/p0_img2.png", "-o", "x.pdf"];

@@ -4,7 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use srflow_field::{Image, flow_colors, read_flow, read_image, write_flow, write_image_png};
+use srflow_core::{Image, flow_colors};
+use srflow_files::{read_flow, read_image, write_flow, write_image_png};
 
 use crate::frames::write_frames;
 use crate::{json, refuses, succeeds};
@@ -76,7 +77,7 @@ fn impossible_requests_are_explained_and_nothing_is_written() {
     let dir = dir.path();
     write_frames(dir, 0..3, SIZE);
     write_image_png(&dir.join("wide.png"), &Image::from_fn(97, 64, |_, _| [9; 3])).unwrap();
-    write_flow(&dir.join("other.flo"), &srflow_field::FlowField::new(5, 4)).unwrap();
+    write_flow(&dir.join("other.flo"), &srflow_core::FlowField::new(5, 4)).unwrap();
     fs::write(dir.join("broken.png"), &fs::read(dir.join("1.png")).unwrap()[..200]).unwrap();
     fs::create_dir(dir.join("empty")).unwrap();
     let pair = ["0.png", "1.png"];

@@ -7,7 +7,8 @@ use std::sync::OnceLock;
 
 use burn::tensor::Device;
 use safetensors::tensor::{Dtype, TensorView};
-use srflow_field::{FlowField, Image, read_flow, read_image, read_npy_plane, write_flow, write_image_png};
+use srflow_core::{FlowField, Image};
+use srflow_files::{read_flow, read_image, read_npy_plane, write_flow, write_image_png};
 use srflow_nets::Architecture;
 use srflow_nn::parameter_infos;
 

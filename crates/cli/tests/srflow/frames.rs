@@ -3,7 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use srflow_field::{FlowField, Image, write_flow, write_image_png};
+use srflow_core::{FlowField, Image};
+use srflow_files::{write_flow, write_image_png};
 
 /// Smooth waves that moved `shift` pixels to the right.
 pub fn waves((width, height): (usize, usize), shift: f32) -> Image {

@@ -1,7 +1,7 @@
 //! The network whose weights come with srflow: it is the default, and scores what it scored when the weights were committed.
 
 use serde_json::Value;
-use srflow_field::read_flow;
+use srflow_files::read_flow;
 
 use crate::frames::write_frames;
 use crate::{json, refuses, srflow, succeeds};

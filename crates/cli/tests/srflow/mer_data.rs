@@ -6,7 +6,7 @@ use std::process::Output;
 use std::sync::LazyLock;
 
 use serde_json::Value;
-use srflow_field::{read_image, read_npy};
+use srflow_files::{read_image, read_npy};
 
 use crate::{fails, refuses, succeeds};
 

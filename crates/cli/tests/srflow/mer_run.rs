@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use serde_json::Value;
-use srflow_field::{Image, write_image_png};
+use srflow_core::Image;
+use srflow_files::write_image_png;
 
 use crate::{fails, json, refuses, succeeds};
 

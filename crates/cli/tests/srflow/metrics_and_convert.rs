@@ -5,10 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use serde_json::Value;
-use srflow_field::{
-    FlowField, Image, Mask, flow_colors, read_flow, read_image, score, write_flow, write_image_png,
-    write_mask_png,
-};
+use srflow_core::{FlowField, Image, Mask, flow_colors, score};
+use srflow_files::{read_flow, read_image, write_flow, write_image_png, write_mask_png};
 
 use crate::{fails, json, refuses, succeeds};
 

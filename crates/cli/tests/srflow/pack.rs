@@ -11,7 +11,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
 use serde_json::Value;
-use srflow_field::{FlowField, read_flow, write_flow};
+use srflow_core::FlowField;
+use srflow_files::{read_flow, write_flow};
 
 use crate::tree::tree;
 use crate::{fails, json, refuses, succeeds};

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use srflow_field::{read_flow, read_image, read_mask, read_npy, read_npy_plane};
+use srflow_files::{read_flow, read_image, read_mask, read_npy, read_npy_plane};
 use srflow_splat::{Gaussians, write_ply};
 
 use crate::{json, refuses, succeeds};

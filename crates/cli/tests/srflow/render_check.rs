@@ -92,11 +92,11 @@ fn a_dataset_is_sound_and_explained_by_its_flow() {
 
     // Backward flow returns to where forward flow started.
     let file = |kind: &str, ending: &str| out.join(format!("test/{kind}/scene-0000/00002.{ending}"));
-    let forward = srflow_field::read_flow(&file("flow", "npz16")).unwrap();
-    let backward = srflow_field::read_flow(&file("flow_backward", "npz16")).unwrap();
-    let tolerance = srflow_field::Tolerance::Absolute { pixels: 0.3 };
-    let consistent = srflow_field::forward_backward_check(&forward, &backward, tolerance).unwrap();
-    let mask = srflow_field::read_mask(&file("mask", "png")).unwrap();
+    let forward = srflow_files::read_flow(&file("flow", "npz16")).unwrap();
+    let backward = srflow_files::read_flow(&file("flow_backward", "npz16")).unwrap();
+    let tolerance = srflow_core::Tolerance::Absolute { pixels: 0.3 };
+    let consistent = srflow_core::forward_backward_check(&forward, &backward, tolerance).unwrap();
+    let mask = srflow_files::read_mask(&file("mask", "png")).unwrap();
     let inside = mask.pixels().iter().filter(|inside| **inside).count();
     let kept =
         mask.pixels().iter().zip(consistent.pixels()).filter(|(inside, kept)| **inside && **kept).count();
@@ -266,17 +266,17 @@ fn backgrounds_stand_still_behind_the_head() {
     let dir = tempfile::tempdir().unwrap();
     let images = dir.path().join("images");
     fs::create_dir(&images).unwrap();
-    let picture = srflow_field::Image::from_fn(300, 200, |x, y| [x as u8, y as u8, 200]);
-    srflow_field::write_image_png(&images.join("gradient.png"), &picture).unwrap();
+    let picture = srflow_core::Image::from_fn(300, 200, |x, y| [x as u8, y as u8, 200]);
+    srflow_files::write_image_png(&images.join("gradient.png"), &picture).unwrap();
     let out = dir.path().join("data");
     succeeds(&render(&out, &["--background", images.to_str().unwrap()]));
     let at = |kind: &str, frame: u32| out.join(format!("train/{kind}/scene-0000/{frame:05}.png"));
     let frames: Vec<_> =
-        (0..8).map(|frame| srflow_field::read_image(&at("frames", frame)).unwrap()).collect();
+        (0..8).map(|frame| srflow_files::read_image(&at("frames", frame)).unwrap()).collect();
     let (left, right) = (frames[0].get(1, 3), frames[0].get(108, 3));
     assert!(right[0] > left[0] + 40 && left[2].abs_diff(200) < 3, "{left:?} {right:?}");
     assert!(frames.iter().all(|frame| frame.get(1, 3) == left));
-    let flow = srflow_field::read_flow(&out.join("train/flow/scene-0000/00001.npz16")).unwrap();
+    let flow = srflow_files::read_flow(&out.join("train/flow/scene-0000/00001.npz16")).unwrap();
     assert_eq!(flow.get(1, 3), [0.0, 0.0]);
     succeeds(&check(&out).0);
 }
@@ -329,19 +329,19 @@ fn broken_files_are_reported() {
     let frame = fs::read(file("frames/scene-0000/00007.png")).unwrap();
     fs::write(file("frames/scene-0000/00007.png"), &frame[..frame.len() / 2]).unwrap();
     expect("frames/scene-0000/00007.png", "");
-    let small = srflow_field::Mask::new(11, 16);
-    srflow_field::write_mask_png(&file("occlusion/scene-0000/00000.png"), &small).unwrap();
+    let small = srflow_core::Mask::new(11, 16);
+    srflow_files::write_mask_png(&file("occlusion/scene-0000/00000.png"), &small).unwrap();
     expect("occlusion/scene-0000/00000.png", "expected 110x160 as in dataset.json, found 11x16");
-    srflow_field::write_mask_png(&file("mask/scene-0000/00001.png"), &srflow_field::Mask::new(110, 160))
+    srflow_files::write_mask_png(&file("mask/scene-0000/00001.png"), &srflow_core::Mask::new(110, 160))
         .unwrap();
     expect("mask/scene-0000/00001.png", "differs from alpha");
     fs::write(file("pairs/scene-0000/00000.json"), "{").unwrap();
     expect("pairs/scene-0000/00000.json", "");
     // A valid file with the wrong content.
-    let flow = srflow_field::read_flow(&file("flow/scene-0000/00003.npz16")).unwrap();
+    let flow = srflow_files::read_flow(&file("flow/scene-0000/00003.npz16")).unwrap();
     let wrong = flow.pixels().iter().map(|[u, v]| [u + 7.0, v - 5.0]).collect();
-    let wrong = srflow_field::FlowField::from_pixels(110, 160, wrong).unwrap();
-    srflow_field::write_flow(&file("flow/scene-0000/00003.npz16"), &wrong).unwrap();
+    let wrong = srflow_core::FlowField::from_pixels(110, 160, wrong).unwrap();
+    srflow_files::write_flow(&file("flow/scene-0000/00003.npz16"), &wrong).unwrap();
     expect("flow/scene-0000/00003.npz16", "does not explain the frames");
     fs::write(file("mask/scene-0000/.00001.png.77-3.partial"), "half").unwrap();
     let (output, report) = check(&out);

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-use srflow_field::read_flow;
+use srflow_files::read_flow;
 use srflow_splat::{Gaussians, write_ply};
 
 use crate::{fails, succeeds};

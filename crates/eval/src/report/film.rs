@@ -1,5 +1,5 @@
 use maud::html;
-use srflow_field::Image;
+use srflow_core::Image;
 
 use super::panels::title_and_note;
 use super::{Figure, Picture, PictureError};

@@ -1,6 +1,6 @@
 //! Colour maps of errors and of other magnitudes.
 
-use srflow_field::{FlowField, Image, Plane};
+use srflow_core::{FlowField, Image, Plane};
 
 /// A perceptually uniform map from a share of a range to a colour, which survives grey printing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

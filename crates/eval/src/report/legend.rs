@@ -1,5 +1,5 @@
 use maud::html;
-use srflow_field::{FlowField, Image, flow_colors};
+use srflow_core::{FlowField, Image, flow_colors};
 
 use super::charts::number;
 use super::heat::ColorMap;

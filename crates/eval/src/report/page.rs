@@ -1,5 +1,5 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-use srflow_field::printable;
+use srflow_core::printable;
 
 /// A part of a page, created by one of the figure functions of this module.
 #[derive(Debug, Clone)]

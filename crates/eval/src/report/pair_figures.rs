@@ -1,7 +1,7 @@
 //! One scored pair as pictures: the frame and the ground truth, and the flow and error of every method.
 
 use rayon::prelude::*;
-use srflow_field::{FlowField, Image, Plane, flow_colors};
+use srflow_core::{FlowField, Image, Plane, flow_colors};
 use srflow_read::flow::Sample;
 
 use super::charts::number;

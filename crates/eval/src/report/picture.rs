@@ -5,7 +5,7 @@ use base64::prelude::BASE64_STANDARD;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use maud::{Markup, html};
-use srflow_field::{Image, Plane};
+use srflow_core::{Image, Plane};
 
 /// An encoded picture.
 #[derive(Debug, Clone)]

@@ -1,7 +1,7 @@
 //! Smaller copies for the report, by area averaging.
 
-use srflow_field::resize::area_means;
-use srflow_field::{FlowField, Image, Mask, Plane};
+use srflow_core::resize::area_means;
+use srflow_core::{FlowField, Image, Mask, Plane};
 
 /// An image at most `max_width` wide, its proportions kept.
 pub fn shrink_image(image: &Image, max_width: usize) -> Image {

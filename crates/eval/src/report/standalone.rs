@@ -3,7 +3,7 @@
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use maud::{Markup, PreEscaped, html};
-use srflow_field::printable;
+use srflow_core::printable;
 
 use super::charts::{Chart, WIDTH, place};
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_field::random::{Key, Stream};
+use srflow_core::random::{Key, Stream};
 use srflow_nn::{ParameterInfo, Parameters, parameter_infos, with_parameters};
 
 pub use offapexnet::OffApexNet;

@@ -4,7 +4,7 @@
 use burn::module::Module;
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
-use srflow_field::random::Stream as RandomStream;
+use srflow_core::random::Stream as RandomStream;
 use srflow_nn::layers::{Conv2d, Conv2dConfig, Linear, LinearConfig, NoParameters, dropout};
 use srflow_ops::Activation;
 use srflow_ops::max_pool::tensor::max_pool;

@@ -6,7 +6,7 @@ use burn::module::Module;
 use burn::tensor::activation::{relu, sigmoid, softmax};
 use burn::tensor::module::adaptive_avg_pool2d;
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, Linear, LinearConfig, NoParameters, dropout};
 use srflow_ops::Activation;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};

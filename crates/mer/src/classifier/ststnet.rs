@@ -5,7 +5,7 @@ use burn::module::Module;
 use burn::tensor::module::{avg_pool2d, max_pool2d};
 use burn::tensor::ops::{AvgPoolOptions, MaxPoolOptions};
 use burn::tensor::{Device, Tensor};
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, Linear, LinearConfig, dropout};
 use srflow_ops::Activation;
 

@@ -16,7 +16,8 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 
 use prost::Message;
-use srflow_field::{FileError, Size, write_file};
+use srflow_core::Size;
+use srflow_files::{FileError, write_file};
 use srflow_nn::parameters;
 
 use crate::Facts;

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 
 use burn::tensor::DType;
-use srflow_field::{Hdf5Array, hdf5_arrays};
+use srflow_files::{Hdf5Array, hdf5_arrays};
 
 use super::tensorflow::layout::{reference_name, reference_order, reference_shape};
 use super::{Contents, StoredBytes, StoredTensor};

@@ -27,7 +27,8 @@ use std::rc::Rc;
 
 use burn::tensor::{DType, TensorData};
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileKind, excerpt, open_file};
+use srflow_core::excerpt;
+use srflow_files::{FileKind, open_file};
 
 use crate::parameters::{ParameterInfo, Parameters};
 use crate::weights::WeightsError;
@@ -302,7 +303,7 @@ fn format_of(start: &[u8], end: &[u8]) -> Option<Format> {
         Some(Format::PytorchZip)
     } else if start.starts_with(&burn_pack::MAGIC_NUMBER.to_le_bytes()) {
         Some(Format::Burnpack)
-    } else if start.starts_with(srflow_field::HDF5_MAGIC) {
+    } else if start.starts_with(srflow_files::HDF5_MAGIC) {
         Some(Format::Keras)
     } else if start.get(8) == Some(&b'{') {
         // Eight bytes of length, then JSON. No pickle has a brace at this position.

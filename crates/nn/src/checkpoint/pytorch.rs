@@ -6,7 +6,7 @@ use std::path::Path;
 
 use burn::tensor::DType;
 use pytorch_reader::PytorchReader;
-use srflow_field::{FileKind, open_file};
+use srflow_files::{FileKind, open_file};
 use zip::ZipArchive;
 
 use super::hyper_parameters::{LONGEST_NAME, Scanner};

@@ -9,7 +9,7 @@ use std::io::Write;
 use std::path::Path;
 
 use burn::module::Module;
-use srflow_field::{FileError, write_atomically};
+use srflow_files::{FileError, write_atomically};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 

@@ -9,7 +9,7 @@ use std::rc::Rc;
 use burn::tensor::{DType, TensorData, f16};
 use safetensors::Dtype;
 use safetensors::tensor::{Metadata, TensorView};
-use srflow_field::{FileKind, open_file};
+use srflow_files::{FileKind, open_file};
 
 use super::{About, Contents, Format, StoredBytes, StoredTensor, read_all};
 use crate::parameters::Parameters;
@@ -34,7 +34,7 @@ pub(super) fn contents(mut file: File, len: u64) -> Result<Contents, String> {
     let mut table = Vec::new();
     (&mut file).take(table_len).read_to_end(&mut table).map_err(|error| error.to_string())?;
     let table: Metadata = serde_json::from_slice(&table).map_err(|error| {
-        format!("in its table of tensors: {}", srflow_field::parse_error_in_words(&error))
+        format!("in its table of tensors: {}", srflow_files::parse_error_in_words(&error))
     })?;
     let (claimed, left) = (table.data_len() as u64, after - table_len);
     if claimed != left {

@@ -3,7 +3,7 @@
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-use srflow_field::{FileKind, open_file};
+use srflow_files::{FileKind, open_file};
 use zip::ZipArchive;
 
 use crate::weights::WeightsError;

@@ -1,5 +1,5 @@
 use burn::tensor::{Tensor, TensorData};
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 
 /// Dropout with probability one half: sets random values to zero and doubles the others. Without a stream, returns `x`.
 ///
@@ -20,7 +20,7 @@ pub fn dropout<const D: usize>(x: Tensor<D>, stream: Option<&mut Stream>) -> Ten
 #[cfg(test)]
 mod tests {
     use burn::tensor::Device;
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::*;
 

@@ -1,8 +1,8 @@
 //! Brightness, contrast, saturation and hue, bit-identical to torchvision's `ColorJitter` on 8-bit pictures (which delegates
 //! to Pillow).
 
-use srflow_field::random::Stream;
-use srflow_field::{Image, pillow_grey};
+use srflow_core::random::Stream;
+use srflow_core::{Image, pillow_grey};
 
 use super::AugmentConfig;
 use super::hue::HueTables;

@@ -1,7 +1,7 @@
 //! Erasing rectangles of frame 2, as if occluded.
 
-use srflow_field::Image;
-use srflow_field::random::Stream;
+use srflow_core::Image;
+use srflow_core::random::Stream;
 
 use super::AugmentConfig;
 

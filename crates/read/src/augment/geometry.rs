@@ -1,6 +1,6 @@
 //! The mapping from augmented pixels to those of the sample.
 
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 
 use super::AugmentConfig;
 use crate::flow::TruthDensity;

@@ -1,7 +1,7 @@
 //! Random changes to a sample that keep its flow correct: colour, erased rectangles, scale, flips, crop.
 //!
 //! Implements SKFlow's augmentation (core/utils/augmentor.py, which is RAFT's), in its order. All random numbers come from a
-//! key ([`srflow_field::random`]): a sample can be computed alone, in any order, on any number of threads, and is bit-identical.
+//! key ([`srflow_core::random`]): a sample can be computed alone, in any order, on any number of threads, and is bit-identical.
 
 mod color;
 mod config;
@@ -13,8 +13,8 @@ mod sparse;
 #[cfg(test)]
 mod tests;
 
-use srflow_field::random::Key;
-use srflow_field::{FlowField, Mask, SizeMismatch};
+use srflow_core::random::Key;
+use srflow_core::{FlowField, Mask, SizeMismatch};
 
 pub use config::AugmentConfig;
 

@@ -1,8 +1,8 @@
 //! Frames, dense flow and masks under a [`Geometry`]: computes only the crop, with the interpolation of OpenCV's `resize`
 //! with `INTER_LINEAR`.
 
-use srflow_field::resize::{LinearTap, sample_flow, sample_image, sample_mask};
-use srflow_field::{FlowField, Image, Mask};
+use srflow_core::resize::{LinearTap, sample_flow, sample_image, sample_mask};
+use srflow_core::{FlowField, Image, Mask};
 
 use super::geometry::Geometry;
 

@@ -1,6 +1,6 @@
 //! Sparse flow under a [`Geometry`].
 
-use srflow_field::FlowField;
+use srflow_core::FlowField;
 
 use super::geometry::Geometry;
 

@@ -1,6 +1,7 @@
 use std::path::{Path, PathBuf};
 
-use srflow_field::{FlowField, Image, read_flow, read_image};
+use srflow_core::{FlowField, Image};
+use srflow_files::{read_flow, read_image};
 
 use super::color::Change;
 use super::*;

@@ -4,7 +4,8 @@
 
 use std::path::Path;
 
-use srflow_field::{FileKind, excerpt, read_text};
+use srflow_core::excerpt;
+use srflow_files::{FileKind, read_text};
 
 use super::gaps::Gaps;
 use super::listing;

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use srflow_fetch::FetchError;
-use srflow_field::FileError;
+use srflow_files::FileError;
 
 use super::Split;
 use crate::manifest::ManifestError;

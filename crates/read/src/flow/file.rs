@@ -5,9 +5,10 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use srflow_field::{
-    Array, FileBytes, FileError, FlowField, Image, Labels, Mask, Plane, read_flow, read_grey16, read_image,
-    read_image_size, read_labels, read_mask, read_npy,
+use srflow_core::{FlowField, Image, Labels, Mask, Plane};
+use srflow_files::{
+    Array, FileBytes, FileError, read_flow, read_grey16, read_image, read_image_size, read_labels, read_mask,
+    read_npy,
 };
 
 use super::DatasetError;

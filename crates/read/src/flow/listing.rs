@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
-use srflow_field::{FlowFormat, IMAGE_EXTENSIONS};
+use srflow_files::{FlowFormat, IMAGE_EXTENSIONS};
 
 use super::error::DatasetError;
 use super::gaps::Gaps;
@@ -249,7 +249,7 @@ mod tests {
 
     #[test]
     fn every_flow_format_is_found() {
-        for format in srflow_field::FlowFormat::ALL {
+        for format in srflow_files::FlowFormat::ALL {
             assert!(FLOWS.contains(&format.extension()), "{format}");
         }
     }

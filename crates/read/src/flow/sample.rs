@@ -1,7 +1,7 @@
 //! Decoding one pair.
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FlowField, Image, Labels, Mask, Plane};
+use srflow_core::{FlowField, Image, Labels, Mask, Plane};
 
 use super::file::{EntryFile, Opened};
 use super::{DatasetError, Entry, Occlusion};

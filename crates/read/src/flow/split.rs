@@ -1,5 +1,5 @@
 use serde::{Deserialize, Serialize};
-use srflow_field::named;
+use srflow_core::named;
 
 /// A part of a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]

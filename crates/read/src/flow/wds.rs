@@ -7,7 +7,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use srflow_field::excerpt;
+use srflow_core::excerpt;
 
 use super::gaps::Gaps;
 use super::listing;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use srflow_field::write_atomically;
+use srflow_files::write_atomically;
 
 use super::{Clip, MicroExpressionError};
 

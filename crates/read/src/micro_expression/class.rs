@@ -1,4 +1,4 @@
-use srflow_field::named;
+use srflow_core::named;
 
 /// The three classes of the composite micro-expression benchmark (MEGC 2019), with its numbering.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -7,7 +7,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use serde::Deserialize;
-use srflow_field::{FileKind, excerpt, is_unprintable, read_text};
+use srflow_core::{excerpt, is_unprintable};
+use srflow_files::{FileKind, read_text};
 
 use super::MicroExpressionError;
 

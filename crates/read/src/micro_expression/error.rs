@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use srflow_field::FileError;
+use srflow_files::FileError;
 
 use super::frames::MissingFrames;
 use crate::flow::DatasetError;

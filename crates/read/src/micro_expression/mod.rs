@@ -33,7 +33,7 @@ pub use plain::{PLAIN_COLUMNS, PLAIN_NAME, write_plain};
 pub use source::{CLIP_KINDS, ClipKind, ClipSource};
 
 use frames::{Located, locate};
-use srflow_field::{excerpt, excerpts, is_unprintable};
+use srflow_core::{excerpt, excerpts, is_unprintable};
 
 /// The annotations of a dataset.
 #[derive(Debug, Clone, PartialEq)]

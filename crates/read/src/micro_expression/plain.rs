@@ -6,7 +6,7 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_field::write_atomically;
+use srflow_files::write_atomically;
 
 use super::classes::Coded;
 use super::frames::ClipFolders;

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use srflow_field::{FileKind, excerpt, excerpts, open_file, read_file};
+use srflow_core::{excerpt, excerpts};
+use srflow_files::{FileKind, open_file, read_file};
 
 use super::MicroExpressionError;
 use super::source::{CLIP_KINDS, ClipSource};

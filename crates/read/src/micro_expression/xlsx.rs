@@ -50,7 +50,7 @@ impl Budget {
 /// What is wrong, without the file name.
 pub(super) fn read_workbook(bytes: Vec<u8>) -> Result<Vec<Cells>, String> {
     let mut workbook = Workbook {
-        archive: srflow_field::open_zip(bytes).map_err(|error| error.to_string())?,
+        archive: srflow_files::open_zip(bytes).map_err(|error| error.to_string())?,
         left: Budget::WHOLE,
     };
     let targets = match workbook.part("xl/_rels/workbook.xml.rels")? {
@@ -263,7 +263,7 @@ fn cells(text: &str, strings: &[String], left: &mut Budget) -> Result<Cells, Str
 fn place(cell: &BytesStart) -> Result<Option<(u32, u32)>, String> {
     let Some(reference) = attribute(cell, |name| name == "r")? else { return Ok(None) };
     let found = position(&reference);
-    found.map(Some).ok_or_else(|| format!("a cell at `{}`", srflow_field::excerpt(&reference)))
+    found.map(Some).ok_or_else(|| format!("a cell at `{}`", srflow_core::excerpt(&reference)))
 }
 
 /// Row and column, from 0, of a reference such as `AB12`.
@@ -304,7 +304,7 @@ fn cell_text(xml: &mut Xml, tag: &BytesStart, strings: &[String]) -> Result<Stri
         Some("str" | "d") => value,
         // Prints whole numbers without a fraction, for frame numbers.
         Some("n") | None => value.parse::<f64>().map_or(value, |number| number.to_string()),
-        Some(other) => return Err(format!("a cell of the unknown type `{}`", srflow_field::excerpt(other))),
+        Some(other) => return Err(format!("a cell of the unknown type `{}`", srflow_core::excerpt(other))),
     })
 }
 

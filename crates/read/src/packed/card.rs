@@ -3,8 +3,9 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use srflow_field::resize::resize_image_antialiased;
-use srflow_field::{Image, create_folder, flow_colors, read_flow, read_image, write_image_png};
+use srflow_core::resize::resize_image_antialiased;
+use srflow_core::{Image, flow_colors};
+use srflow_files::{create_folder, read_flow, read_image, write_image_png};
 
 use super::FIELDS;
 use super::index::FlowStatistics;

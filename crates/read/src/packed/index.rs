@@ -6,7 +6,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use srflow_field::{excerpt, parse_error_in_words};
+use srflow_core::excerpt;
+use srflow_files::parse_error_in_words;
 
 use super::is_plain;
 use super::place::Place;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use srflow_fetch::{Client, Part, Patience};
-use srflow_field::{FileKind, FileProblem, open_file};
+use srflow_files::{FileKind, FileProblem, open_file};
 
 use crate::flow::DatasetError;
 

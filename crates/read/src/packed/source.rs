@@ -4,9 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use serde_json::Value;
-use srflow_field::{
-    FileKind, FlowField, FlowFormat, parse_error_in_words, read_image_size, read_mask, read_text,
-};
+use srflow_core::FlowField;
+use srflow_files::{FileKind, FlowFormat, parse_error_in_words, read_image_size, read_mask, read_text};
 
 use super::index::FlowStatistics;
 use super::writer::PackError;

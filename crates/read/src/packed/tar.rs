@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
-use srflow_field::excerpt;
+use srflow_core::excerpt;
 
 use super::place::{Place, Windows};
 use super::ustar::{self, BLOCK, Block, Kind};

@@ -9,10 +9,11 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sha2::{Digest, Sha256};
-use srflow_field::{
-    FileBytes, FileError, FileKind, FileProblem, FlowField, FlowFormat, LockError, RunLock, SHA256SUMS,
-    create_folder, encode_flow, encode_flow_half, excerpt, hexadecimal, named, read_file, read_flow,
-    read_json_lines, remove_partial, sha256_of_file, sha256sums_line, write_atomically, write_file,
+use srflow_core::{FlowField, excerpt, named};
+use srflow_files::{
+    FileBytes, FileError, FileKind, FileProblem, FlowFormat, LockError, RunLock, SHA256SUMS, create_folder,
+    encode_flow, encode_flow_half, hexadecimal, read_file, read_flow, read_json_lines, remove_partial,
+    sha256_of_file, sha256sums_line, write_atomically, write_file,
 };
 
 use super::index::{FlowStatistics, INDEX_NAME, IndexRecord, MemberRecord, lines};

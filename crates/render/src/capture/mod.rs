@@ -25,8 +25,8 @@ use srflow_avatar::capture::{
     CaptureView, LANDMARK_COUNT, LANDMARKS_NAME, Landmarks, parameters_name, split_of, write_canonical,
     write_transforms,
 };
-use srflow_field::random::Key;
-use srflow_field::{FileError, create_folder};
+use srflow_core::random::Key;
+use srflow_files::{FileError, create_folder};
 use srflow_splat::Camera;
 
 use crate::RenderError;

@@ -3,7 +3,7 @@
 use glam::{EulerRot, Quat, Vec3};
 use srflow_avatar::capture::HeadRecord;
 use srflow_avatar::{Avatar, AvatarError, Motion, PoseParameters};
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 use srflow_splat::Camera;
 
 use super::CaptureSettings;

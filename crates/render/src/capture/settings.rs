@@ -3,7 +3,7 @@
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
 use srflow_avatar::HeadSource;
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 use srflow_splat::Camera;
 
 use crate::RenderError;

@@ -8,8 +8,8 @@ use srflow_avatar::capture::{
     CANONICAL_NAME, CaptureSplit, HEAD_NAME, LANDMARKS_NAME, PARAMETERS_FOLDER, parameters_name,
 };
 use srflow_avatar::{HeadParameters, PosedHead};
-use srflow_field::random::Key;
-use srflow_field::write_image_png;
+use srflow_core::random::Key;
+use srflow_files::write_image_png;
 use srflow_splat::{Frame, Gaussians, Options, Outputs, Rasterizer};
 
 use super::performance::Performance;

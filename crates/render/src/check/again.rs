@@ -9,10 +9,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 use serde::Serialize;
-use srflow_field::random::Key;
-use srflow_field::{
-    FileKind, SHA256SUMS, Shard, excerpt, hexadecimal, parse_sha256sums_line, sha256_of_file,
-};
+use srflow_core::random::Key;
+use srflow_core::{Shard, excerpt};
+use srflow_files::{FileKind, SHA256SUMS, hexadecimal, parse_sha256sums_line, sha256_of_file};
 use srflow_read::manifest::Manifest;
 
 use super::Problem;

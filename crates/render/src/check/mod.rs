@@ -8,10 +8,8 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::Serialize;
-use srflow_field::{
-    FileKind, FlowField, Image, Labels, Mask, parse_error_in_words, read_flow, read_image, read_mask,
-    read_text, warp,
-};
+use srflow_core::{FlowField, Image, Labels, Mask, warp};
+use srflow_files::{FileKind, parse_error_in_words, read_flow, read_image, read_mask, read_text};
 
 use crate::camera::camera_from_record;
 use crate::job::first_difference;
@@ -180,7 +178,7 @@ impl PairFindings {
         &mut self,
         file: &Path,
         size: (usize, usize),
-        read: impl FnOnce(&Path) -> Result<T, srflow_field::FileError>,
+        read: impl FnOnce(&Path) -> Result<T, srflow_files::FileError>,
         size_of: impl Fn(&T) -> (usize, usize),
     ) -> Option<T> {
         match read(file) {

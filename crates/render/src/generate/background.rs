@@ -5,8 +5,9 @@ mod procedural;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use srflow_field::random::Key;
-use srflow_field::{IMAGE_EXTENSIONS, Image, parse_color, read_image};
+use srflow_core::random::Key;
+use srflow_core::{Image, parse_color};
+use srflow_files::{IMAGE_EXTENSIONS, read_image};
 use srflow_splat::Frame;
 
 use super::settings::list_files;
@@ -170,7 +171,7 @@ pub(super) fn composite(frame: &mut Frame, behind: Option<&Image>) {
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::Plane;
+    use srflow_core::Plane;
 
     use super::*;
 

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use srflow_avatar::{Avatar, PosedHead};
-use srflow_field::random::{Key, Stream};
+use srflow_core::random::{Key, Stream};
 use srflow_splat::{Gaussians, SH_0};
 
 use crate::recording::coded;

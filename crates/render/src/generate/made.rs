@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use srflow_avatar::Avatars;
-use srflow_field::{Recent, Spares};
+use srflow_core::{Recent, Spares};
 use srflow_read::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
 use srflow_read::manifest::SceneSplit;
 

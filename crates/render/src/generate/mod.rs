@@ -19,7 +19,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use srflow_avatar::{Avatar, Avatars};
-use srflow_field::write_file;
+use srflow_files::write_file;
 
 use crate::RenderError;
 use crate::job::{self, Made, Request};

@@ -1,6 +1,6 @@
 //! Occlusion of a frame's pixels in the next frame, from exact geometry.
 
-use srflow_field::Mask;
+use srflow_core::Mask;
 use srflow_splat::Frame;
 
 /// A surface is hidden when something in the next frame is nearer by more than this, in metres. Depths are means over
@@ -70,7 +70,7 @@ impl Surface<'_> {
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::{FlowField, Plane};
+    use srflow_core::{FlowField, Plane};
 
     use super::*;
 

@@ -3,7 +3,8 @@
 use std::io;
 use std::path::Path;
 
-use srflow_field::{FileError, Plane, write_atomically};
+use srflow_core::Plane;
+use srflow_files::{FileError, write_atomically};
 use srflow_read::region_map::HeadPart;
 use srflow_splat::Frame;
 

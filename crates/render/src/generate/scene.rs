@@ -6,8 +6,8 @@ use glam::{EulerRot, Quat, Vec3};
 use srflow_avatar::{
     Avatar, Avatars, HeadModel, HeadPose, HeadSource, MicroExpression, Moment, Motion, PoseParameters, Side,
 };
-use srflow_field::Image;
-use srflow_field::random::{Key, Stream};
+use srflow_core::Image;
+use srflow_core::random::{Key, Stream};
 use srflow_splat::Camera;
 
 use super::background;

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::HeadSource;
-use srflow_field::FlowFormat;
-use srflow_field::random::Key;
+use srflow_core::random::Key;
+use srflow_files::FlowFormat;
 use srflow_splat::Device;
 
 use super::background::{self, Background};

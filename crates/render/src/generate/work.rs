@@ -10,7 +10,8 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::{Avatars, PosedHead};
-use srflow_field::{longest_flow, write_file, write_flow_as, write_image_png, write_mask_png};
+use srflow_core::longest_flow;
+use srflow_files::{write_file, write_flow_as, write_image_png, write_mask_png};
 use srflow_splat::{DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, RasterizeError};
 
 use super::background::{self, Background};

@@ -6,8 +6,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use serde_json::Value;
-use srflow_field::{
-    FileError, FileKind, FileProblem, SHA256SUMS, create_folder, excerpt, parse_error_in_words, read_text,
+use srflow_core::excerpt;
+use srflow_files::{
+    FileError, FileKind, FileProblem, SHA256SUMS, create_folder, parse_error_in_words, read_text,
     remove_partial, write_file,
 };
 

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use srflow_field::{FileKind, SHA256SUMS, hexadecimal, sha256_of_file, sha256sums_line, write_atomically};
+use srflow_files::{FileKind, SHA256SUMS, hexadecimal, sha256_of_file, sha256sums_line, write_atomically};
 
 use super::layout::Layout;
 use crate::RenderError;

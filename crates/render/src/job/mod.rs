@@ -14,7 +14,8 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use srflow_field::{SHA256SUMS, Shard, remove_partial};
+use srflow_core::Shard;
+use srflow_files::{SHA256SUMS, remove_partial};
 
 use crate::RenderError;
 

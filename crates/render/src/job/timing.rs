@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
-use srflow_field::named;
+use srflow_core::named;
 
 /// The stages of a worker's work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

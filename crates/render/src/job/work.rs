@@ -4,7 +4,8 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use srflow_field::{FileError, Recent};
+use srflow_core::Recent;
+use srflow_files::FileError;
 
 use super::folder::until_kept;
 use super::timing::{Clock, Stage};

@@ -4,7 +4,7 @@
 //! with gamma 2. Squares and their sums are integers, and the square root is exact, so the bits are the same everywhere.
 
 use rayon::prelude::*;
-use srflow_field::Image;
+use srflow_core::Image;
 
 /// Rows that a thread blurs at a time.
 const BAND: usize = 64;
@@ -146,7 +146,7 @@ fn running_sums(row: &[[u8; 3]], reach: isize) -> Vec<[u32; 3]> {
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::*;
 

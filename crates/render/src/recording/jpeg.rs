@@ -3,7 +3,7 @@
 //! lossless and left out. The arithmetic of a codec may differ between processors; this one's does not.
 
 use rayon::prelude::*;
-use srflow_field::Image;
+use srflow_core::Image;
 
 /// Side of a block.
 const SIDE: usize = 8;
@@ -187,7 +187,7 @@ fn rgb([luma, blue, red]: [u8; 3]) -> [u8; 3] {
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     use super::*;
 

@@ -6,8 +6,8 @@ mod blur;
 mod jpeg;
 mod sensor;
 
-use srflow_field::Image;
-use srflow_field::random::Key;
+use srflow_core::Image;
+use srflow_core::random::Key;
 use srflow_read::manifest::Recording;
 
 pub(crate) use blur::{Exposure, defocus};

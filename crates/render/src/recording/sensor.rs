@@ -1,7 +1,7 @@
 //! Imaging effects of recorded video: changing illumination and sensor noise.
 
-use srflow_field::random::{Key, Stream};
-use srflow_field::{Image, Plane};
+use srflow_core::random::{Key, Stream};
+use srflow_core::{Image, Plane};
 
 /// The gamma of the pictures: light that grows by `g` multiplies a value by `g^(1/2.2)`.
 const CODING_POWER: f32 = 2.2;

@@ -22,7 +22,7 @@ mod work;
 use std::path::Path;
 
 use serde::Serialize;
-use srflow_field::write_file;
+use srflow_files::write_file;
 
 pub use settings::ShapesSettings;
 use settings::validates;

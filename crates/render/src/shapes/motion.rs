@@ -1,7 +1,7 @@
 //! Smooth motions of the plane that can be inverted.
 
 use glam::{DMat2, DVec2};
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 
 /// Control points along a side of the grid of [`Bend`].
 const POINTS: usize = 8;
@@ -128,7 +128,7 @@ fn cubic(t: f64) -> [(f64, f64); 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     #[test]
     fn every_motion_is_smooth_and_inverted() {

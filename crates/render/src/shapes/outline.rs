@@ -1,7 +1,7 @@
 //! The outlines of layers.
 
 use glam::DVec2;
-use srflow_field::random::Stream;
+use srflow_core::random::Stream;
 
 /// What a layer covers in frame 1, in pixels.
 #[derive(Debug, Clone)]
@@ -139,7 +139,7 @@ fn segment_distance_squared(point: DVec2, a: DVec2, b: DVec2) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     #[test]
     fn outlines_lie_within_their_bounds_and_distances_change_by_at_most_the_way() {

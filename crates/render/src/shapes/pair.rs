@@ -2,8 +2,8 @@
 
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
-use srflow_field::random::{Key, Stream};
-use srflow_field::{FlowField, Image, Mask, Plane};
+use srflow_core::random::{Key, Stream};
+use srflow_core::{FlowField, Image, Mask, Plane};
 use srflow_read::flow::Sample;
 
 use super::motion::Motion;

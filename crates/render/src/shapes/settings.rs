@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use srflow_field::FlowFormat;
+use srflow_files::FlowFormat;
 
 use crate::RenderError;
 use crate::error::check_size;

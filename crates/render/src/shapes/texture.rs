@@ -1,8 +1,8 @@
 //! What layers look like.
 
 use glam::{DMat2, DVec2, Vec3};
-use srflow_field::Image;
-use srflow_field::random::Stream;
+use srflow_core::Image;
+use srflow_core::random::Stream;
 
 /// Texels along a side of a texture made by code.
 const SIZE: usize = 256;
@@ -218,7 +218,7 @@ fn stripes(stream: &mut Stream) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use srflow_field::random::Key;
+    use srflow_core::random::Key;
 
     #[test]
     fn textures_vary_are_continuous_and_cover_the_plane() {

@@ -7,9 +7,10 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_field::random::{Key, Stream};
-use srflow_field::resize::resize_image_antialiased;
-use srflow_field::{FlowFormat, Image, Spares, read_image, write_flow_as, write_image_png, write_mask_png};
+use srflow_core::random::{Key, Stream};
+use srflow_core::resize::resize_image_antialiased;
+use srflow_core::{Image, Spares};
+use srflow_files::{FlowFormat, read_image, write_flow_as, write_image_png, write_mask_png};
 use srflow_read::flow::{MadeError, MadePairs, Sample};
 
 use super::settings::MAX_PAIRS;

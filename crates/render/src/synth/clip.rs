@@ -2,7 +2,7 @@
 
 use glam::{DVec3, EulerRot, Quat, Vec3};
 use srflow_avatar::{Avatar, HeadModelError, HeadPose, MicroExpression, PosedHead};
-use srflow_field::random::{Key, Stream};
+use srflow_core::random::{Key, Stream};
 use srflow_read::micro_expression::EmotionClass;
 use srflow_splat::{Camera, Gaussians};
 

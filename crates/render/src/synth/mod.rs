@@ -23,7 +23,7 @@ use std::io::Write;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use srflow_field::write_atomically;
+use srflow_files::write_atomically;
 use srflow_read::micro_expression::EmotionClass;
 
 pub(crate) use clip::action_unit_sets;

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_field::FlowFormat;
-use srflow_field::random::Key;
+use srflow_core::random::Key;
+use srflow_files::FlowFormat;
 use srflow_read::micro_expression::EmotionClass;
 
 use crate::RenderError;

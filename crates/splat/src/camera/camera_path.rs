@@ -2,7 +2,7 @@
 //! in OpenGL's axes, 16 numbers in row-major order, and the vertical field of view in degrees.
 
 use serde::Deserialize;
-use srflow_field::FileProblem;
+use srflow_files::FileProblem;
 
 use super::Camera;
 use super::file::{NamedCamera, Source, problem};

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat4, DQuat, DVec3};
-use srflow_field::{FileError, FileKind, FileProblem, read_file};
+use srflow_files::{FileError, FileKind, FileProblem, read_file};
 
 use super::Camera;
 use super::file::{NamedCamera, distortion, invalid, problem};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::de::{DeserializeOwned, IgnoredAny};
-use srflow_field::{FileError, FileKind, FileProblem, read_file};
+use srflow_files::{FileError, FileKind, FileProblem, read_file};
 
 use super::{Camera, camera_path, colmap, gaussian_splatting, nersemble, own, transforms};
 use crate::CameraError;

@@ -4,7 +4,7 @@
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
-use srflow_field::FileProblem;
+use srflow_files::FileProblem;
 
 use super::Camera;
 use super::file::{NamedCamera, Source};

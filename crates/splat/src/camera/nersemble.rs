@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use glam::DMat4;
 use serde::Deserialize;
-use srflow_field::FileProblem;
+use srflow_files::FileProblem;
 
 use super::Camera;
 use super::file::{NamedCamera, Source, problem};

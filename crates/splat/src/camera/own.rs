@@ -2,7 +2,7 @@
 
 use glam::DMat4;
 use serde::Deserialize;
-use srflow_field::FileProblem;
+use srflow_files::FileProblem;
 
 use super::Camera;
 use super::file::{NamedCamera, Source};

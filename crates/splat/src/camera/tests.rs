@@ -84,8 +84,8 @@ fn transforms_of_nerf_take_their_size_from_the_pictures() {
     let given = read_cameras(&file, Some((640, 480))).unwrap();
     assert_sees(&given[0], "./train/r_0", 380.43176361660267, 210.58124236948836);
     fs::create_dir(folder.path().join("train")).unwrap();
-    let picture = srflow_field::Image::new(640, 480);
-    srflow_field::write_image_png(&folder.path().join("train/r_0.png"), &picture).unwrap();
+    let picture = srflow_core::Image::new(640, 480);
+    srflow_files::write_image_png(&folder.path().join("train/r_0.png"), &picture).unwrap();
     assert_eq!(read_cameras(&file, None).unwrap(), given);
 }
 

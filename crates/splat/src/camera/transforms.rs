@@ -12,7 +12,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
-use srflow_field::{FileProblem, read_image_size};
+use srflow_files::{FileProblem, read_image_size};
 
 use super::Camera;
 use super::file::{NamedCamera, Source, distortion, problem};

@@ -16,7 +16,7 @@ use std::path::Path;
 
 use glam::{DMat3, DMat4, DQuat, Quat, Vec3};
 use serde_json::{Value, json};
-use srflow_field::{FileError, FileKind, FileProblem};
+use srflow_files::{FileError, FileKind, FileProblem};
 
 use super::{check, problem, unit_rotation};
 use crate::gltf::{Document, GltfBuilder, POINTS, Primitive};

@@ -9,7 +9,7 @@ use std::ffi::OsStr;
 use std::path::Path;
 
 use glam::{Quat, Vec3};
-use srflow_field::{FileError, FileProblem};
+use srflow_files::{FileError, FileProblem};
 
 use crate::Gaussians;
 

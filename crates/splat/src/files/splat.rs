@@ -15,7 +15,7 @@ use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
 use glam::Vec3;
-use srflow_field::{FileError, FileKind, FileProblem, open_file, write_atomically};
+use srflow_files::{FileError, FileKind, FileProblem, open_file, write_atomically};
 
 use super::{check, problem, room_for, unit_rotation};
 use crate::{Gaussians, SH_0};

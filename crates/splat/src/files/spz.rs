@@ -20,7 +20,7 @@ use flate2::Compression;
 use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use glam::Vec3;
-use srflow_field::{FileError, FileKind, FileProblem, open_file, write_atomically};
+use srflow_files::{FileError, FileKind, FileProblem, open_file, write_atomically};
 
 use super::{check, problem, room_for, unit_rotation};
 use crate::{Gaussians, sh};

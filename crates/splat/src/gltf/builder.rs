@@ -3,7 +3,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use serde_json::{Value, json};
-use srflow_field::{FileError, write_atomically};
+use srflow_files::{FileError, write_atomically};
 
 use super::{FLOAT, UNSIGNED_INT, UNSIGNED_SHORT};
 use crate::NamedCamera;

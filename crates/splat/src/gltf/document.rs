@@ -8,7 +8,8 @@ use std::path::Path;
 use glam::{DMat4, DQuat, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
-use srflow_field::{FileError, FileKind, FileProblem, excerpt, parse_error_in_words, read_file};
+use srflow_core::excerpt;
+use srflow_files::{FileError, FileKind, FileProblem, parse_error_in_words, read_file};
 
 /// Most numbers that a small file may expand to: accessors may share bytes, or have none. A larger file may hold a number per byte.
 const MAX_VALUES: usize = 1 << 26;

@@ -3,7 +3,7 @@
 
 use cubecl::client::Client;
 use glam::DVec3;
-use srflow_field::random::Key;
+use srflow_core::random::Key;
 
 use super::GpuRasterizer;
 use super::buffer::Buffer;

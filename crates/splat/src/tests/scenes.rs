@@ -1,7 +1,7 @@
 //! Difficult scenes, and random ones.
 
 use glam::{DMat3, DMat4, DVec3, EulerRot, Quat, Vec3};
-use srflow_field::random::{Key, Stream};
+use srflow_core::random::{Key, Stream};
 
 use crate::{Camera, Device, FrameGradients, Gaussians};
 

@@ -1,5 +1,5 @@
 use serde::{Deserialize, Serialize};
-use srflow_field::Size;
+use srflow_core::Size;
 use srflow_read::augment::AugmentConfig;
 use srflow_read::flow::TruthDensity;
 

@@ -1,7 +1,7 @@
 //! Data that is made while training.
 
 use serde::{Deserialize, Serialize};
-use srflow_field::Size;
+use srflow_core::Size;
 use srflow_read::manifest::Recording;
 
 use super::text::{self, MadeKind};

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
-use srflow_field::Size;
+use srflow_core::Size;
 use srflow_nets::{Architecture, Network, load_to_train};
 use srflow_nn::{Layout, WeightsError};
 use srflow_ops::Precision;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use srflow_field::{Preset, SettingsError, parse_settings, read_settings, settings_text, with_setting};
+use srflow_files::{Preset, SettingsError, parse_settings, read_settings, settings_text, with_setting};
 use srflow_nets::SettingError;
 
 use super::Config;

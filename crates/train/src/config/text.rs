@@ -38,7 +38,7 @@ pub enum MadeKind {
     Rendered,
 }
 
-srflow_field::named!(MadeKind, "a kind of made data", { Shapes => "shapes", Rendered => "rendered" });
+srflow_core::named!(MadeKind, "a kind of made data", { Shapes => "shapes", Rendered => "rendered" });
 
 impl Source {
     /// The dataset, if it is in files.
@@ -161,7 +161,7 @@ pub(super) mod by_texts {
 /// Serde for an optional size; an empty string is `None`.
 pub(super) mod optional_size {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
-    use srflow_field::Size;
+    use srflow_core::Size;
 
     pub fn serialize<S: Serializer>(value: &Option<Size>, serializer: S) -> Result<S::Ok, S::Error> {
         match value {

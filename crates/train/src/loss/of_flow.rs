@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::Serialize;
-use srflow_field::{FlowField, Image, Mask, SizeMismatch};
+use srflow_core::{FlowField, Image, Mask, SizeMismatch};
 
 use super::table::RegularizerValue;
 use super::{LossConfig, LossInputs, Prediction, REGULARIZERS, pixel_weights, regularizers, total_mask};

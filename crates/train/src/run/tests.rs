@@ -1,4 +1,5 @@
-use srflow_field::{FlowField, Image, write_flow, write_image_png};
+use srflow_core::{FlowField, Image};
+use srflow_files::{write_flow, write_image_png};
 
 use super::*;
 use crate::training_set::only_files;

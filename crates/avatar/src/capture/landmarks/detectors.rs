@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_field::{FileError, FileKind, FileProblem, MEDIAPIPE_OF_DLIB, excerpt, read_text};
+use srflow_core::{MEDIAPIPE_OF_DLIB, excerpt};
+use srflow_files::{FileError, FileKind, FileProblem, read_text};
 
 use super::super::problem;
 use super::{Face, LANDMARK_COUNT, Landmarks};

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
-use srflow_field::random::{Key, Stream};
+use srflow_core::random::{Key, Stream};
 
 use super::super::tests::{by_definition, model, pose, state};
 use super::*;

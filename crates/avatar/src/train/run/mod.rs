@@ -18,8 +18,9 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use srflow_field::{
-    FileError, FileKind, FileProblem, Image, JsonLines, LockError, RunLock, SettingsError, create_folder,
+use srflow_core::Image;
+use srflow_files::{
+    FileError, FileKind, FileProblem, JsonLines, LockError, RunLock, SettingsError, create_folder,
     parse_settings, read_json_lines, read_text, remove_partial, settings_text, write_file, write_image_png,
 };
 

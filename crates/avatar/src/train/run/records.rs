@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileError, FileKind, FileProblem, parse_error_in_words, read_text, write_file};
+use srflow_files::{FileError, FileKind, FileProblem, parse_error_in_words, read_text, write_file};
 
 use crate::capture::HeadRecord;
 use crate::train::{SplitScore, StepReport, ViewScore};

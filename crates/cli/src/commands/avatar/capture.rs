@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use srflow_avatar::HeadSource;
-use srflow_field::{Size, parse_color};
+use srflow_core::{Size, parse_color};
 use srflow_render::capture::{CaptureReport, CaptureSettings, capture};
 
 use crate::Context;

@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use clap::Args;
 use srflow_avatar::{HeadPose, MeshMotion, PosedHead, add_mesh};
-use srflow_field::Size;
+use srflow_core::Size;
 use srflow_splat::gltf::GltfBuilder;
 use srflow_splat::{Gaussians, NamedCamera, SplatFormat, Up, read_cameras, write_gaussians};
 
@@ -98,7 +98,7 @@ fn scene(
     gaussians: &Gaussians,
     cameras: &[NamedCamera],
 ) -> anyhow::Result<()> {
-    let in_file = |problem: srflow_field::FileProblem| problem.in_file(&args.output);
+    let in_file = |problem: srflow_files::FileProblem| problem.in_file(&args.output);
     let mut builder = GltfBuilder::new();
     builder.add_gaussians(gaussians).map_err(in_file)?;
     if !args.no_mesh {

@@ -7,7 +7,8 @@ use serde::Serialize;
 use srflow_avatar::capture::{Capture, CaptureView, HeadRecord, LANDMARKS_NAME, Landmarks, write_tracked};
 use srflow_avatar::fit::{FitError, FitOptions, FitReport, FitStage, LandmarkView, Reach, fit};
 use srflow_avatar::{HeadModel, HeadPose, HeadSource};
-use srflow_field::{create_folder, excerpts, write_file};
+use srflow_core::excerpts;
+use srflow_files::{create_folder, write_file};
 use srflow_render::capture::TrueCapture;
 use srflow_render::mesh_error::{MeshError, mesh_error};
 

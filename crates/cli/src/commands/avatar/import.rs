@@ -6,7 +6,8 @@ use serde_json::json;
 use srflow_avatar::capture::{
     CaptureSplit, CaptureView, ImportRequest, Imported, PicturePattern, import, write_transforms,
 };
-use srflow_field::{create_folder, excerpts};
+use srflow_core::excerpts;
+use srflow_files::create_folder;
 
 use super::paths::from_to;
 use crate::Context;

@@ -12,9 +12,10 @@ use anyhow::Context as _;
 use clap::Args;
 use serde_json::json;
 use srflow_avatar::{Avatars, HeadSource};
+use srflow_core::{FlowEstimator, Size};
 use srflow_eval::report::{Figure, pair_figures};
 use srflow_eval::{Evaluation, Settings};
-use srflow_field::{FlowEstimator, Size, write_file};
+use srflow_files::write_file;
 use srflow_read::flow::{DatasetSpec, FlowDataset};
 use srflow_render::generate::FULL_SIZE;
 

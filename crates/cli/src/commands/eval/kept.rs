@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use std::time::UNIX_EPOCH;
 
 use anyhow::Context as _;
+use srflow_core::Shard;
 use srflow_eval::{KeptPair, KeptScores, ScoredPair};
-use srflow_field::{JsonLines, Shard, create_folder, read_json_lines};
+use srflow_files::{JsonLines, create_folder, read_json_lines};
 use srflow_read::flow::{Entry, EntryFile, FlowDataset};
 
 use super::Eval;

@@ -8,14 +8,15 @@ use anyhow::bail;
 use clap::Args;
 use clap::builder::ArgPredicate;
 use serde::Serialize;
+use srflow_core::{Shard, Size};
 use srflow_eval::report::{Figure, pair_figures, score_report};
 use srflow_eval::{
     Evaluation, Method, MethodRecord, OnFailure, ScoredPair, Settings, TextStyle, Window, joined,
     markdown_file, scored_pairs, window_about,
 };
 use srflow_face::FaceBox;
-use srflow_field::{Shard, Size, create_folder, write_file};
 use srflow_figure::{Content, Pair, Plan, Scale, Scales, Source as Flow, Style};
+use srflow_files::{create_folder, write_file};
 use srflow_read::flow::{DatasetSpec, FlowDataset, KINDS, Split};
 
 use self::kept::Kept;

@@ -1,6 +1,6 @@
 //! Outputs of some networks in addition to the flow.
 
-use srflow_field::{FlowEstimate, Plane};
+use srflow_core::{FlowEstimate, Plane};
 use srflow_nets::Architecture;
 
 /// One number per pixel of the first frame.

@@ -4,7 +4,8 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
-use srflow_field::{IMAGE_EXTENSIONS, Image, read_image, read_image_size};
+use srflow_core::Image;
+use srflow_files::{IMAGE_EXTENSIONS, read_image, read_image_size};
 use srflow_read::flow::pictures;
 
 use crate::usage::wrong_usage;

@@ -10,12 +10,10 @@ use anyhow::{Context as _, anyhow, ensure};
 use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
+use srflow_core::{FlowEstimate, FlowEstimator, FlowField, FlowSequence, Shard, flow_colors, in_stages};
 use srflow_eval::report::heat;
 use srflow_face::{FrameCrop, write_landmarks};
-use srflow_field::{
-    FlowEstimate, FlowEstimator, FlowField, FlowFormat, FlowSequence, Shard, create_folder, flow_colors,
-    in_stages, read_flow, write_flow, write_image_png, write_npy_plane,
-};
+use srflow_files::{FlowFormat, create_folder, read_flow, write_flow, write_image_png, write_npy_plane};
 
 use self::extra::ExtraOutput;
 use self::frames::{Frame, Source};

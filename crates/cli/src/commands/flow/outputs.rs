@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
-use srflow_field::{FileKind, FlowFormat, create_folder, read_text, write_file};
+use srflow_files::{FileKind, FlowFormat, create_folder, read_text, write_file};
 
 use super::Flow;
 use super::extra::ExtraOutput;

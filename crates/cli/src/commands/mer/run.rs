@@ -2,7 +2,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{ArgPredicate, PossibleValue, PossibleValuesParser, TypedValueParser};
-use srflow_field::{Shard, create_folder};
+use srflow_core::Shard;
+use srflow_files::create_folder;
 use srflow_mer::{
     CLASSIFIERS, ClassifierEntry, Preparation, Protocol, ResultsFolder, ResultsRecord, RunFolders, RunMethod,
     RunSettings, Sets, TrainedPart, by_set, unseen_classes,

@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use clap::Args;
 use serde::Serialize;
-use srflow_field::{read_image, write_image_png, write_npy, write_npy_plane};
+use srflow_files::{read_image, write_image_png, write_npy, write_npy_plane};
 use srflow_mer::{
     Channel, FEATURE_SIDE, ResizeOrder, StrainFormula, features_of_frames, optical_strain, strain_colors,
 };

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use srflow_field::FlowFormat;
+use srflow_files::FlowFormat;
 use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
 
 use crate::Context;

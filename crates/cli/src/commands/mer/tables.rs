@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
-use srflow_field::create_folder;
+use srflow_files::create_folder;
 use srflow_mer::{Outcome, OutcomeRecord, TABLE_FILES, all_score_tables, read_predictions, write_tables};
 
 use crate::Context;

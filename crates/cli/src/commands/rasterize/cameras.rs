@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use clap::Args;
-use srflow_field::{Size, excerpt, excerpts};
+use srflow_core::{Size, excerpt, excerpts};
 use srflow_splat::{Camera, Gaussians, NamedCamera, Surroundings, Up, read_cameras};
 
 use crate::usage::wrong_usage;

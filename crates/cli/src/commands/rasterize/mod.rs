@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use anyhow::ensure;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use srflow_field::{
-    FileError, create_folder, longest_flow, parse_color, write_flow, write_image_png, write_mask_png,
-    write_npy, write_npy_plane,
+use srflow_core::{longest_flow, parse_color};
+use srflow_files::{
+    FileError, create_folder, write_flow, write_image_png, write_mask_png, write_npy, write_npy_plane,
 };
 use srflow_splat::{
     Frame, Gaussians, Next, Options, Outputs, PixelConvention, Rasterizer, Sorting, SplatFormat, Up,

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use srflow_field::{create_folder, longest_flow, write_flow, write_image_png, write_mask_png};
+use srflow_core::longest_flow;
+use srflow_files::{create_folder, write_flow, write_image_png, write_mask_png};
 use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer};
 
 use crate::output::ensure_free;

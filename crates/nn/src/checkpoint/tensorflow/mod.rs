@@ -14,7 +14,8 @@ use std::path::Path;
 use std::rc::Rc;
 
 use burn::tensor::DType;
-use srflow_field::{FileKind, excerpt, open_file};
+use srflow_core::excerpt;
+use srflow_files::{FileKind, open_file};
 
 use super::{Contents, StoredBytes, StoredTensor};
 use proto::Fields;

@@ -4,8 +4,8 @@
 
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
-use srflow_field::Image;
-use srflow_field::random::{Key, Stream};
+use srflow_core::Image;
+use srflow_core::random::{Key, Stream};
 
 use crate::recording::defocus;
 use crate::shapes::Texture;

@@ -2,7 +2,8 @@
 
 use std::io::{self, Read};
 
-use srflow_field::{FileProblem, excerpt};
+use srflow_core::excerpt;
+use srflow_files::FileProblem;
 
 use super::{problem, reading};
 

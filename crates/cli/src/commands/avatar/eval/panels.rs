@@ -4,12 +4,13 @@ use std::path::Path;
 
 use srflow_avatar::capture::CaptureSplit;
 use srflow_avatar::train::{Scorer, ViewScore};
+use srflow_core::{FlowField, Image, Mask, Plane, flow_colors};
 use srflow_eval::Table;
 use srflow_eval::report::{
     Figure, Page, Panel, Picture, PictureError, Section, color_scale, heat, heat_legend, panels, ramp_legend,
     score_table, shrink_image, side_by_side, wheel_legend,
 };
-use srflow_field::{FileError, FileProblem, FlowField, Image, Mask, Plane, flow_colors, write_image_png};
+use srflow_files::{FileError, FileProblem, write_image_png};
 use srflow_render::label_error::{FlowComparison, FlowPair};
 
 use super::super::scores::{SCORE_DEFINITIONS, split_words};

@@ -14,7 +14,7 @@ use srflow_avatar::train::{
     TrainConfig, Trainer, read_run, read_run_log, run as train,
 };
 use srflow_avatar::{HeadModel, HeadSource};
-use srflow_field::{Preset, SettingsError, read_settings, settings_text, with_setting, write_file};
+use srflow_files::{Preset, SettingsError, read_settings, settings_text, with_setting, write_file};
 
 use super::scores::{split_table, split_words};
 use crate::commands::render::head_help;

@@ -7,7 +7,7 @@ use srflow_eval::report::{
     Axis, Chart, Curve, Figure, Page, Picture, Section, compare, curves, score_table, settings_facts,
     shrink_image, side_by_side, tiles,
 };
-use srflow_field::settings_text;
+use srflow_files::settings_text;
 
 use super::super::scores::{SCORE_DEFINITIONS, camera_table, split_table, split_words};
 use crate::machine;

@@ -1,0 +1,40 @@
+//! Flow fields, images and masks: colours, warping, resizing, metrics, and the seeded random numbers of everything generated.
+//!
+//! Conventions of every crate of the workspace: arrays are row-major; an integer coordinate is the centre
+//! of a pixel; flow is in pixels, `u` to the right and `v` down, from frame 1 to frame 2, stored at frame 1's pixel.
+
+mod color;
+mod estimator;
+mod excerpt;
+mod flow_colors;
+mod forward_interpolate;
+mod grey;
+mod grid;
+mod landmarks;
+mod metrics;
+mod named;
+pub mod random;
+mod recent;
+pub mod resize;
+mod shard;
+mod size;
+mod spares;
+mod stages;
+mod warp;
+
+pub use color::parse_color;
+pub use estimator::{EstimateError, FlowEstimate, FlowEstimator, FlowSequence, check_frame_sizes};
+pub use excerpt::{excerpt, excerpts, is_unprintable, printable};
+pub use flow_colors::{flow_colors, longest_flow};
+pub use forward_interpolate::forward_interpolate;
+pub use grey::{luminance, opencv_grey, pillow_grey};
+pub(crate) use grid::check_same_size;
+pub use grid::{FlowField, Image, Labels, Mask, Plane, SizeError, SizeMismatch};
+pub use landmarks::MEDIAPIPE_OF_DLIB;
+pub use metrics::{MAX_SCORED_FLOW, MeanMetrics, Metrics, ScoreError, score};
+pub use recent::Recent;
+pub use shard::Shard;
+pub use size::Size;
+pub use spares::Spares;
+pub use stages::in_stages;
+pub use warp::{Tolerance, forward_backward_check, warp};

@@ -277,6 +277,8 @@ impl FromStr for HeadSource {
     }
 }
 
+srflow_core::serialize_as_text!(HeadSource);
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -42,6 +42,11 @@ impl Continuable {
         })
     }
 
+    /// Work that may be dropped; `left` says what is left of it.
+    pub fn dropping(left: impl Fn() -> String + Send + 'static) -> Self {
+        Self::of(true, left)
+    }
+
     /// Work that may be dropped; `kept` is what remains of it.
     pub fn keeping(kept: &'static str) -> Self {
         Self::of(true, move || kept.to_owned())

@@ -14,36 +14,22 @@ macro_rules! note {
 }
 
 mod commands;
-mod face;
 mod interrupt;
-mod job_engine;
-mod large_frames;
-mod library;
-mod machine;
-mod made;
-mod methods;
-mod networks;
-mod opening;
+mod notes;
 mod output;
-mod posed_head;
 mod progress;
 mod ranks;
-mod rendering;
-mod scoring;
+mod run;
 mod usage;
-mod video;
+
+use srflow::{
+    face, large_frames, machine, made, methods, networks, opening, posed_head, rendering, scoring, video,
+};
 
 use std::ffi::OsString;
 use std::io::{self, Write};
 
 use clap::{Args, Parser, Subcommand};
-
-pub use commands::render::render;
-pub use commands::train::train;
-pub use face::FACE_MODELS_VARIABLE;
-pub use library::Watch;
-pub use methods::estimator_of;
-pub use usage::UsageError;
 
 /// Exit codes; see the help of the command.
 const FAILED: u8 = 1;
@@ -78,8 +64,8 @@ pub(crate) struct Context {
 #[derive(Subcommand)]
 enum Command {
     Demo(commands::demo::Demo),
-    Render(commands::render::Render),
-    Shapes(commands::shapes::Shapes),
+    Render(srflow::render::RenderJob),
+    Shapes(srflow::shapes::ShapesJob),
     Pack(commands::pack::Pack),
     Avatar(commands::avatar::Avatar),
     Flow(commands::flow::Flow),
@@ -95,7 +81,7 @@ enum Command {
     Device(commands::device::DeviceArgs),
     View(commands::view::View),
     Check(commands::check::Check),
-    Merge(commands::merge::Merge),
+    Merge(srflow::merge::MergeJob),
 }
 
 /// Runs the command with the arguments of a process, of which the first is its name, and returns its exit code.
@@ -127,8 +113,8 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     });
     let result: anyhow::Result<()> = match cli.command {
         Command::Demo(args) => commands::demo::run(args, &context),
-        Command::Render(args) => commands::render::run(args, &context),
-        Command::Shapes(args) => commands::shapes::run(args, &context),
+        Command::Render(args) => run::run(&args, &context),
+        Command::Shapes(args) => run::run(&args, &context),
         Command::Pack(args) => commands::pack::run(args, &context),
         Command::Avatar(args) => commands::avatar::run(args, &context),
         Command::Flow(args) => commands::flow::run(args, &context),
@@ -144,7 +130,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Device(args) => commands::device::run(args, &context),
         Command::View(args) => commands::view::run(args, &context),
         Command::Check(args) => commands::check::run(args, &context),
-        Command::Merge(args) => commands::merge::run(args, &context),
+        Command::Merge(args) => run::run(&args, &context),
     };
     match result.and_then(|()| Ok(io::stdout().flush()?)) {
         Ok(()) => 0,
@@ -161,21 +147,10 @@ fn fail(error: &anyhow::Error, context: &Context) -> u8 {
     if context.json {
         output::print_error_json(&text);
     }
-    if error.is::<UsageError>() { WRONG_USAGE } else { FAILED }
+    if usage::is_wrong_usage(error) { WRONG_USAGE } else { FAILED }
 }
 
-/// The error and its causes; a cause that is already part of the text is not repeated.
-pub fn in_words(error: &anyhow::Error) -> String {
-    let mut words = String::new();
-    for cause in error.chain().map(ToString::to_string) {
-        if !words.contains(&cause) {
-            let colon = if words.is_empty() { "" } else { ": " };
-            words.push_str(colon);
-            words.push_str(&cause);
-        }
-    }
-    words
-}
+pub(crate) use srflow::error::in_words;
 
 fn is_closed_pipe(error: &anyhow::Error) -> bool {
     // Not the whole chain: a pipe that a file's error tells of is not standard output.

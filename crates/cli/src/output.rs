@@ -1,59 +1,25 @@
 //! Output shared by all commands: nothing is overwritten without `--force`, text files are written whole or not at all, and
 //! tables look alike.
 
-use std::ffi::OsStr;
 use std::fmt;
 use std::io::{self, IsTerminal, Write};
-use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context as _, bail};
+use anyhow::Context as _;
 use serde::Serialize;
 use srflow_core::{is_unprintable, printable};
-use srflow_eval::{Table, TextStyle, joined, latex_file};
+use srflow_eval::{Table, TextStyle, joined};
 
-use crate::usage::wrong_usage;
-use crate::video::is_video;
+pub use srflow::output::{ensure_extension, ensure_folder, ensure_free, latex};
 
-/// Fails on the first of these files that exists, unless `force` allows to overwrite it.
-pub fn ensure_free(files: impl IntoIterator<Item: Into<PathBuf>>, force: bool) -> anyhow::Result<()> {
-    match files.into_iter().map(Into::into).find(|file| !force && file.exists()) {
-        Some(file) => bail!("{} exists; give --force to overwrite it, or another name", file.display()),
-        None => Ok(()),
-    }
-}
-
-/// Fails if a folder is requested under the name of a file.
-pub fn ensure_folder(folder: &Path) -> anyhow::Result<()> {
-    const EXTENSIONS: [&str; 16] = [
-        "png", "jpg", "jpeg", "bmp", "ppm", "npy", "npz", "npz16", "flo", "flo5", "pfm", "csv", "json",
-        "html", "txt", "zip",
-    ];
-    let extension = folder.extension().and_then(OsStr::to_str).unwrap_or_default();
-    let like_file = EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension)) || is_video(folder);
-    if like_file && !folder.is_dir() {
-        wrong_usage!("{}: expected a folder to write into, found the name of a file", folder.display());
-    }
-    Ok(())
-}
-
-/// Fails unless the name ends in the extension of the format.
-pub fn ensure_extension(file: &Path, extension: &str) -> anyhow::Result<()> {
-    if !file.extension().is_some_and(|found| found.eq_ignore_ascii_case(extension)) {
-        wrong_usage!("{}: this output is a .{extension} file: give it that extension", file.display());
-    }
-    Ok(())
-}
-
-/// Tables as one LaTeX file.
-pub fn latex(tables: &[Table]) -> String {
-    latex_file(tables.iter().map(|table| (table.title.clone(), table.latex())))
+/// Whether standard output shows colours: it is a terminal and `NO_COLOR` is unset (<https://no-color.org>).
+pub fn is_coloured() -> bool {
+    io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none()
 }
 
 /// Prints tables, in colours if standard output is a terminal and `NO_COLOR` is unset (<https://no-color.org>).
 pub fn print_tables(tables: &[Table]) -> anyhow::Result<()> {
-    let colours = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    let style = if colours { TextStyle::Ansi } else { TextStyle::Plain };
+    let style = if is_coloured() { TextStyle::Ansi } else { TextStyle::Plain };
     let text = joined(tables, |table| table.text(style));
     writeln!(io::stdout(), "{}", text.trim_end()).context(PRINTING)
 }
@@ -68,6 +34,16 @@ pub fn print_line(text: fmt::Arguments) -> anyhow::Result<()> {
 /// Prints a line to standard error; see `note!`. Errors are ignored: there is nowhere to report them.
 pub fn print_note(text: fmt::Arguments) {
     _ = writeln!(io::stderr(), "{}", printable(&text.to_string()));
+}
+
+/// Prints the text of a report, which ends its lines itself. Control characters are escaped except for line ends and colours.
+pub fn print_text(text: &str) -> anyhow::Result<()> {
+    let safe = text
+        .split('\n')
+        .map(|line| if is_coloured() { line.to_owned() } else { printable(line).to_string() });
+    let safe = safe.collect::<Vec<_>>().join("\n");
+    write!(io::stdout(), "{}{}", safe.trim_end(), if safe.trim_end().is_empty() { "" } else { "\n" })
+        .context(PRINTING)
 }
 
 /// Whether a result was printed as JSON: there is only one.

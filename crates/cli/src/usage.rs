@@ -1,22 +1,21 @@
-//! Errors in the arguments themselves.
+//! Errors in the arguments, in the words of the command line.
 
-use std::fmt;
+use srflow::{Error, ErrorKind};
 
-/// An error in the arguments: the program exits with code 2.
-#[derive(Debug)]
-pub struct UsageError(pub String);
-
-impl fmt::Display for UsageError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
+/// Whether the arguments are wrong: the program then exits with code 2.
+pub fn is_wrong_usage(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<Error>().is_some_and(|error| error.kind() == ErrorKind::Setting)
+        || srflow::error::is_wrong_settings(error)
 }
 
-impl std::error::Error for UsageError {}
-
-/// Returns a [`UsageError`] from a function that returns `anyhow::Result`.
-macro_rules! wrong_usage {
-    ($($text:tt)*) => { return Err(crate::usage::UsageError(format!($($text)*)).into()) };
+/// The error with settings as options: `` `stop_after` `` becomes `--stop-after` where the command has that option.
+pub fn in_options(error: &anyhow::Error, options: &[String]) -> String {
+    let setting = error.downcast_ref::<Error>().and_then(Error::setting);
+    let text = match setting.or_else(|| error.chain().find_map(|cause| cause.downcast_ref())) {
+        Some(setting) => format!("`{}` {}: expected {}", setting.name(), setting.found, setting.expected),
+        None => srflow::error::in_words(error),
+    };
+    options.iter().fold(text, |text, option| {
+        text.replace(&format!("`{}`", option.replace('-', "_")), &format!("--{option}"))
+    })
 }
-
-pub(crate) use wrong_usage;

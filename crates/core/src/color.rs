@@ -1,3 +1,36 @@
+use std::fmt;
+use std::ops::Deref;
+use std::str::FromStr;
+
+/// A colour, sRGB; written `#rrggbb`, and read as [`parse_color`] does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Color(pub [u8; 3]);
+
+impl Deref for Color {
+    type Target = [u8; 3];
+
+    fn deref(&self) -> &[u8; 3] {
+        &self.0
+    }
+}
+
+impl fmt::Display for Color {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [r, g, b] = self.0;
+        write!(f, "#{r:02x}{g:02x}{b:02x}")
+    }
+}
+
+impl FromStr for Color {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        parse_color(text).map(Self)
+    }
+}
+
+crate::serialize_as_text!(Color);
+
 /// Parses a colour: `white`, `black`, `#rrggbb`, or `R,G,B` of 0 to 255 each.
 ///
 /// # Errors

@@ -29,6 +29,8 @@ impl FromStr for Size {
     }
 }
 
+crate::serialize_as_text!(Size);
+
 #[cfg(test)]
 mod tests {
     use super::*;

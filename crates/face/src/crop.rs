@@ -50,6 +50,8 @@ impl fmt::Display for FaceBox {
     }
 }
 
+srflow_core::serialize_as_text!(FaceBox);
+
 /// A crop, the same for all frames of a clip: separate ones would add the noise of landmarks to the motion.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FrameCrop {

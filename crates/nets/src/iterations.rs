@@ -113,6 +113,8 @@ impl fmt::Display for Iterations {
     }
 }
 
+srflow_core::serialize_as_text!(Iterations);
+
 /// The iterations of one level, counted while they are done.
 pub(crate) struct Refinement {
     most: usize,

@@ -6,3 +6,11 @@ pub mod manifest;
 pub mod micro_expression;
 pub mod packed;
 pub mod region_map;
+
+/// Clap's derives with the feature `clap`; otherwise derives that generate nothing.
+pub(crate) mod clap {
+    #[cfg(feature = "clap")]
+    pub use ::clap::Args;
+    #[cfg(not(feature = "clap"))]
+    pub use srflow_no_clap::Args;
+}

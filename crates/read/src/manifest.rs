@@ -23,6 +23,7 @@ mod recording;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use srflow_core::Size;
 use srflow_core::{excerpt, named};
 use srflow_files::{FileError, FileKind, FlowFormat, read_text};
 
@@ -55,49 +56,51 @@ pub struct Manifest {
 /// The arguments that determine a dataset's bytes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Arguments {
-    /// `builtin`, or `ict` with a fingerprint of the files read.
-    pub head: String,
-    /// Number of scenes.
-    pub scenes: u32,
-    /// Mean number of frame pairs in a scene.
-    pub frames: f64,
     /// Frame width in pixels.
     pub width: usize,
     /// Frame height in pixels.
     pub height: usize,
-    /// Shares of train, val and test scenes.
-    pub splits: [f64; 3],
-    /// Random seed.
-    pub seed: u64,
     /// File format of the flow; see [`FlowFormat`].
     pub flow_format: String,
     /// Whether there is backward flow.
     pub backward: bool,
     /// Whether there are depth maps.
     pub depth: bool,
-    /// `#rrggbb`, `procedural`, or `images` with a fingerprint of the files in the folder.
-    pub background: String,
-    /// `curves`, `mixed`, `own` (the motion in an avatar's files), or `recorded` with a fingerprint of the files read.
-    #[serde(default = "curves", skip_serializing_if = "is_curves")]
-    pub motion: String,
     /// Whether there are [region maps](crate::region_map).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub regions: bool,
-    /// Imaging effects on the frames.
-    #[serde(default, skip_serializing_if = "Recording::is_none")]
-    pub recording: Recording,
-    /// `cuda` or `vulkan` if frames and flow were rasterized on a GPU, whose rounding differs from the CPU's.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub device: Option<String>,
+    /// The other settings of the job that rendered the dataset, which readers do not need. Where a setting names files, it is their
+    /// kind with a fingerprint.
+    #[serde(flatten)]
+    pub others: serde_json::Map<String, serde_json::Value>,
 }
 
-/// The motion of datasets that name none.
-fn curves() -> String {
-    "curves".to_owned()
-}
+impl Arguments {
+    /// From the settings of the job as JSON and the `size` of the frames, which takes the place of the field `size`.
+    ///
+    /// # Errors
+    /// When the settings lack what every dataset has.
+    pub fn of_settings(mut settings: serde_json::Value, size: Size) -> Result<Self, serde_json::Error> {
+        settings["width"] = size.width.into();
+        settings["height"] = size.height.into();
+        if let Some(settings) = settings.as_object_mut() {
+            settings.remove("size");
+        }
+        serde_json::from_value(settings)
+    }
 
-fn is_curves(motion: &String) -> bool {
-    *motion == curves()
+    /// The settings of the job, with `size` in place of width and height.
+    ///
+    /// # Errors
+    /// When a number is not finite.
+    pub fn settings(&self) -> Result<serde_json::Value, serde_json::Error> {
+        let mut settings = serde_json::to_value(self)?;
+        settings["size"] = Size { width: self.width, height: self.height }.to_string().into();
+        if let Some(settings) = settings.as_object_mut() {
+            settings.retain(|name, _| name != "width" && name != "height");
+        }
+        Ok(settings)
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

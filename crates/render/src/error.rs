@@ -3,6 +3,7 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::HeadModelError;
+use srflow_core::SettingError;
 use srflow_files::FileError;
 use srflow_read::manifest::ManifestError;
 use srflow_read::micro_expression::MicroExpressionError;
@@ -10,7 +11,7 @@ use srflow_splat::RasterizeError;
 
 use crate::record::RecordError;
 
-/// Checks `--size` against the shortest and the longest side, in pixels.
+/// Checks a `size` against the shortest and the longest side, in pixels.
 pub(crate) fn check_size(
     (width, height): (usize, usize),
     sides: RangeInclusive<usize>,
@@ -19,29 +20,24 @@ pub(crate) fn check_size(
         return Ok(());
     }
     let (low, high) = sides.into_inner();
-    Err(RenderError::Argument {
-        argument: "--size",
+    Err(RenderError::Setting(SettingError {
+        field: "size",
         found: format!("{width}x{height}"),
         expected: format!("{low}x{low} to {high}x{high} (WIDTHxHEIGHT)"),
-    })
+    }))
 }
 
 /// Why a dataset could not be rendered or completed.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
-    /// An argument is out of range.
-    #[error("{argument} {found}: expected {expected}")]
-    Argument {
-        /// Name on the command line.
-        argument: &'static str,
-        found: String,
-        expected: String,
-    },
-    /// The folder of an argument cannot be read.
-    #[error("{argument} {}: {error}; expected {expected}", .path.display())]
+    /// A setting is out of range.
+    #[error(transparent)]
+    Setting(#[from] SettingError),
+    /// The file or folder of a setting cannot be read.
+    #[error("{field} {}: {error}; expected {expected}", .path.display())]
     Folder {
-        /// Name of the argument on the command line.
-        argument: &'static str,
+        /// Name of the setting.
+        field: &'static str,
         path: PathBuf,
         #[source]
         error: io::Error,
@@ -59,7 +55,7 @@ pub enum RenderError {
     NotADataset { path: PathBuf, manifest: &'static str },
     /// The output folder contains a dataset with other arguments.
     #[error(
-        "{}: the folder has a dataset with {field} {found}, requested is {asked}; use the same arguments to continue it, another folder, or --force to delete it and start over",
+        "{}: the folder has a dataset with {field} {found}, requested is {asked}; use the same arguments to continue it, another folder, or `force` to delete it and start over",
         .path.display()
     )]
     OtherDataset { path: PathBuf, field: String, found: String, asked: String },

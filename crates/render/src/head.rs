@@ -30,14 +30,14 @@ fn head_files(head: &HeadSource) -> Result<Vec<(String, u64)>, RenderError> {
     let mut files = Vec::new();
     for path in head.paths() {
         let failed = |error| RenderError::Folder {
-            argument: "--head",
+            field: "head",
             path: path.clone(),
             error,
             expected: "the file or folder of a head model, as docs/avatars.md describes it",
         };
         let metadata = std::fs::metadata(&path).map_err(failed)?;
         if metadata.is_dir() {
-            files.extend(list_files(&path, "--head", "the folder of a head model")?);
+            files.extend(list_files(&path, "head", "the folder of a head model")?);
         } else {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             files.push((name, metadata.len()));

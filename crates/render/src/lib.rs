@@ -19,3 +19,11 @@ pub mod statistics;
 pub mod synth;
 
 pub use error::RenderError;
+
+/// Clap's derives with the feature `clap`; otherwise derives that generate nothing.
+pub(crate) mod clap {
+    #[cfg(feature = "clap")]
+    pub use ::clap::Args;
+    #[cfg(not(feature = "clap"))]
+    pub use srflow_no_clap::Args;
+}

@@ -62,21 +62,6 @@ pub(crate) fn read_record<T: DeserializeOwned>(path: &Path) -> Result<T, RenderE
     })
 }
 
-/// A flow format in a record, by its file extension.
-pub(crate) mod format_name {
-    use serde::de::Error;
-    use serde::{Deserialize, Deserializer, Serializer};
-    use srflow_files::FlowFormat;
-
-    pub fn serialize<S: Serializer>(format: &FlowFormat, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(format.extension())
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<FlowFormat, D::Error> {
-        String::deserialize(deserializer)?.parse().map_err(D::Error::custom)
-    }
-}
-
 /// A record could not be read.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {reason}; delete the file and run `srflow render` again to rewrite it", .path.display())]

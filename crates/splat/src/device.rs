@@ -1,3 +1,6 @@
+use std::fmt;
+use std::str::FromStr;
+
 use srflow_simd::{DeviceError, DeviceName};
 
 use crate::{Camera, Frame, Gaussians, Next, Options, RasterizeError, Rasterizer};
@@ -9,6 +12,8 @@ compile_error!("the feature `cube` is the common part of `cuda` and `vulkan`: tu
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Device {
     kind: &'static str,
+    /// Its number among those of its kind.
+    number: usize,
     #[cfg(feature = "cube")]
     pub(crate) gpu: Option<cubecl::Device>,
 }
@@ -18,6 +23,7 @@ impl Device {
     pub fn cpu() -> Self {
         Self {
             kind: "cpu",
+            number: 0,
             #[cfg(feature = "cube")]
             gpu: None,
         }
@@ -40,7 +46,8 @@ impl Device {
                 _ => return name.pick(vec![Self::cpu()]),
             };
             let kind = name.kind;
-            name.pick(devices.into_iter().map(|device| Self { kind, gpu: Some(device) }).collect())
+            let devices = devices.into_iter().zip(0..);
+            name.pick(devices.map(|(device, number)| Self { kind, number, gpu: Some(device) }).collect())
         }
         #[cfg(not(feature = "cube"))]
         name.pick(vec![Self::cpu()])
@@ -62,11 +69,35 @@ impl Device {
         "processor".to_owned()
     }
 
+    pub fn is_cpu(&self) -> bool {
+        self.kind == "cpu"
+    }
+
     /// `cpu`, `cuda` or `vulkan`.
     pub fn kind(&self) -> &'static str {
         self.kind
     }
 }
+
+impl fmt::Display for Device {
+    /// As [`Device::named`] reads it.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.number {
+            0 => f.pad(self.kind),
+            number => write!(f, "{}:{number}", self.kind),
+        }
+    }
+}
+
+impl FromStr for Device {
+    type Err = DeviceError;
+
+    fn from_str(name: &str) -> Result<Self, DeviceError> {
+        Self::named(name)
+    }
+}
+
+srflow_core::serialize_as_text!(Device);
 
 #[cfg(feature = "cuda")]
 fn cuda_devices() -> Vec<cubecl::Device> {

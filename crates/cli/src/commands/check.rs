@@ -6,7 +6,6 @@ use serde::Serialize;
 use srflow_read::manifest::Manifest;
 use srflow_render::check::{CheckReport, Problem, Rerendered, check, check_hashes, check_rerendered};
 
-use super::render::print_statistics;
 use crate::Context;
 use crate::progress::{Lines, bar};
 
@@ -136,5 +135,5 @@ fn print_report(report: &Report) -> anyhow::Result<()> {
         content.residual.unwarped,
         content.residual.warped
     )?;
-    print_statistics(&content.statistics)
+    crate::output::print_text(&srflow::render::StatisticsText(&content.statistics).to_string())
 }

@@ -9,7 +9,7 @@ use srflow_splat::{Gaussians, SplatFormat, Up, read_gaussians, write_gaussians};
 
 use crate::Context;
 use crate::output::ensure_free;
-use crate::usage::wrong_usage;
+use srflow::wrong_settings;
 
 /// Convert a flow or 3D Gaussians between file formats, or draw a flow in colours
 ///
@@ -99,13 +99,15 @@ fn splat_formats(args: &Convert) -> anyhow::Result<Option<(&'static SplatFormat,
     let (input, output) = (args.input.display(), args.output.display());
     let known = SplatFormat::extensions();
     match (SplatFormat::of(&args.input), SplatFormat::of(&args.output)) {
-        (Some(_), Some(_)) if args.viz => wrong_usage!("--viz draws a flow: {input} holds Gaussians"),
+        (Some(_), Some(_)) if args.viz => wrong_settings!("--viz draws a flow: {input} holds Gaussians"),
         (Some(from), Some(to)) => Ok(Some((from, to))),
         (Some(_), None) => {
-            wrong_usage!("{output}: {input} holds Gaussians: expected a name ending in one of {known}")
+            wrong_settings!("{output}: {input} holds Gaussians: expected a name ending in one of {known}")
         }
         (None, Some(_)) => {
-            wrong_usage!("{output}: Gaussians are read from a file ending in one of {known}, found {input}")
+            wrong_settings!(
+                "{output}: Gaussians are read from a file ending in one of {known}, found {input}"
+            )
         }
         (None, None) => Ok(None),
     }
@@ -168,12 +170,12 @@ impl Target {
         match FlowFormat::from_path(output) {
             Some(FlowFormat::KittiPng) if viz => Ok(Self::Picture),
             _ if viz => {
-                wrong_usage!("{}: --viz draws a picture: expected a name ending in .png", output.display())
+                wrong_settings!("{}: --viz draws a picture: expected a name ending in .png", output.display())
             }
             Some(format) => Ok(Self::Flow(format)),
             None => {
                 let formats = FlowFormat::ALL.map(|format| format!(".{format}")).join(", ");
-                wrong_usage!(
+                wrong_settings!(
                     "{}: expected a name ending in one of {formats} for a flow, or {} for Gaussians",
                     output.display(),
                     SplatFormat::extensions()

@@ -15,7 +15,7 @@ use srflow_splat::{Camera, Device, DeviceRasterizer, Frame, Gaussians, Next, Opt
 use crate::Context;
 use crate::networks::{PrecisionArg, device_help};
 use crate::output::print_json;
-use crate::usage::wrong_usage;
+use srflow::wrong_settings;
 
 /// List the devices of this machine, or time and check one
 ///
@@ -119,7 +119,7 @@ impl Timing {
             median_seconds: later[later.len() / 2],
             seconds,
         };
-        let Some(last) = last else { wrong_usage!("--repeats 0: expected at least 1") };
+        let Some(last) = last else { wrong_settings!("--repeats 0: expected at least 1") };
         Ok((times, last))
     }
 }
@@ -160,7 +160,7 @@ struct Listed {
 fn network(args: &NetworkAction, context: &Context) -> anyhow::Result<()> {
     let Some(architecture) = Architecture::from_name(&args.network) else {
         let names = Architecture::ALL.map(|architecture| architecture.facts().name).join(", ");
-        wrong_usage!("unknown network {:?}: expected one of {names}", args.network);
+        wrong_settings!("unknown network {:?}: expected one of {names}", args.network);
     };
     let (cpu, device) = (srflow_ops::device("cpu")?, srflow_ops::device(&args.timing.device)?);
     let (parameters, on_cpu) = match &args.weights {

@@ -17,7 +17,7 @@ use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::opening::open_dataset;
 use crate::output::{ensure_folder, ensure_free, print_json};
 use crate::progress::bar;
-use crate::usage::wrong_usage;
+use srflow::wrong_settings;
 
 /// Make a figure for a paper: frames, flow, errors and strain in a grid
 ///
@@ -206,7 +206,7 @@ impl Crop {
             from.checked_add(length).is_some_and(|end| end <= whole)
         };
         if !inside(left, width, frame.0) || !inside(top, height, frame.1) {
-            wrong_usage!(
+            wrong_settings!(
                 "--crop: {width}x{height} from column {left} and row {top} is not within the frames of {pair}, which are {}x{} \
                  (WIDTHxHEIGHT): choose a part of them",
                 frame.0,
@@ -255,7 +255,7 @@ impl Format {
         match file.extension().map(|extension| extension.to_string_lossy().to_lowercase()).as_deref() {
             Some("svg") => Ok(Self::Svg),
             Some("pdf") => Ok(Self::Pdf),
-            _ => wrong_usage!(
+            _ => wrong_settings!(
                 "{}: expected the name of a figure, ending in .pdf or .svg; --panels DIR writes its panels as .png",
                 file.display()
             ),
@@ -391,11 +391,11 @@ impl Figure {
         formats: &[Format],
     ) -> anyhow::Result<Plan> {
         if methods.iter().any(|method| method == "truth") {
-            wrong_usage!("`truth` is the true flow: give the method another name, as in --flow NAME=FLOW");
+            wrong_settings!("`truth` is the true flow: give the method another name, as in --flow NAME=FLOW");
         }
         let columns = match resolve(columns, &methods) {
             Ok(columns) => columns,
-            Err(error) => wrong_usage!("--columns: {error}"),
+            Err(error) => wrong_settings!("--columns: {error}"),
         };
         let plan = Plan {
             methods,
@@ -410,7 +410,7 @@ impl Figure {
             captions: self.captions.clone(),
         };
         if let Err(error) = plan.check_counts(pairs.len()) {
-            wrong_usage!("--{error}");
+            wrong_settings!("--{error}");
         }
         if formats.contains(&Format::Pdf) {
             plan.texts(pairs).into_iter().try_for_each(check_text)?;
@@ -447,7 +447,7 @@ fn chosen(dataset: &FlowDataset, samples: &[String]) -> anyhow::Result<Vec<usize
         let named = names.iter().position(|name| name == sample);
         match named.or_else(|| sample.parse().ok().filter(|number| *number < count)) {
             Some(number) => Ok(number),
-            None => wrong_usage!(
+            None => wrong_settings!(
                 "--samples: expected the name of a pair of the {} split, such as {}, or a number from 0 to {}; found {}",
                 dataset.split(),
                 excerpts(names.iter().take(3).map(String::as_str), 3),
@@ -460,7 +460,7 @@ fn chosen(dataset: &FlowDataset, samples: &[String]) -> anyhow::Result<Vec<usize
 }
 
 fn of_dataset(args: &Figure, spec: &DatasetSpec, formats: &[Format]) -> anyhow::Result<(Plan, Vec<Pair>)> {
-    let dataset = open_dataset(spec, args.split)?;
+    let dataset = open_dataset(spec, args.split, &crate::run::WATCH)?;
     let chosen = chosen(&dataset, &args.samples)?;
     let dataset = dataset.only(&chosen);
     let names: Vec<String> = dataset.entries().iter().map(|entry| entry.id()).collect();
@@ -474,7 +474,7 @@ fn of_dataset(args: &Figure, spec: &DatasetSpec, formats: &[Format]) -> anyhow::
     }
     let sources = match specs.as_slice() {
         [] => Vec::new(),
-        specs => methods::sources(specs, &args.parameters, &dataset, None)?,
+        specs => methods::sources(specs, &args.parameters, &dataset, None, &crate::run::WATCH)?,
     };
     let methods: Vec<String> = sources.iter().map(|source| source.method().name().to_owned()).collect();
     let plan = args.plan(&columns, methods, &names, formats)?;
@@ -506,32 +506,32 @@ fn of_dataset(args: &Figure, spec: &DatasetSpec, formats: &[Format]) -> anyhow::
 }
 
 fn of_files(args: &Figure, formats: &[Format]) -> anyhow::Result<(Plan, Vec<Pair>)> {
-    let [file1, file2] = args.frames.as_slice() else { wrong_usage!("--frames: expected two pictures") };
+    let [file1, file2] = args.frames.as_slice() else { wrong_settings!("--frames: expected two pictures") };
     let name = file1.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let columns = args.columns(args.truth.is_some())?;
     let specs = args.methods(&columns);
     if specs.iter().any(|spec| spec.method == Method::Files) {
-        wrong_usage!(
+        wrong_settings!(
             "--method files:DIR is for datasets: name flow files between --frames by --flow NAME=FLOW"
         );
     }
     let estimators = match specs.as_slice() {
         [] => Vec::new(),
-        specs => methods::estimators(specs, &args.parameters)?,
+        specs => methods::estimators(specs, &args.parameters, &crate::run::WATCH)?,
     };
     let mut methods: Vec<String> = args.flow.iter().map(|flow| flow.name.clone()).collect();
     methods.extend(estimators.iter().map(|estimator| estimator.name().to_owned()));
     if let Some((_, twice)) =
         methods.iter().enumerate().find(|(number, name)| methods[..*number].contains(name))
     {
-        wrong_usage!(
+        wrong_settings!(
             "two methods have the name {}: rename one, as in --flow NAME=FLOW or --method NAME:tvl1",
             excerpt(twice)
         );
     }
     let plan = args.plan(&columns, methods, std::slice::from_ref(&name), formats)?;
     if plan.needs_truth() && args.truth.is_none() {
-        wrong_usage!(
+        wrong_settings!(
             "--columns: truth, error and strain:truth need the true flow: give it by --truth, or leave them out"
         );
     }

@@ -13,7 +13,7 @@ use srflow_nn::{Checkpoint, ParameterInfo, ParametersError, StoredAs};
 
 use crate::Context;
 use crate::networks::weights_file;
-use crate::usage::wrong_usage;
+use srflow::wrong_settings;
 
 /// List the networks, inspect a file of weights, or export one
 ///
@@ -307,7 +307,7 @@ impl Exported {
         ] {
             if given && self != of {
                 let ending = if of == Self::Onnx { ".onnx" } else { ".safetensors" };
-                wrong_usage!(
+                wrong_settings!(
                     "{option}: for files that end in {ending}, and not for {}: leave it out",
                     out.display()
                 );
@@ -324,7 +324,7 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
         "ckpt" | "pt" | "pth" => Exported::PyTorch,
         "safetensors" => Exported::Safetensors,
         "onnx" => Exported::Onnx,
-        _ => wrong_usage!(
+        _ => wrong_settings!(
             "{}: expected a name that ends in .ckpt, .pt, .pth, .safetensors or .onnx",
             out.display()
         ),
@@ -336,7 +336,7 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
     let network = match named.and_then(|named| load_included(named, &device)) {
         Some(network) => network,
         None => {
-            let path = weights_file(None, weights)?;
+            let path = weights_file(None, weights, &crate::run::WATCH)?;
             load_network(fits_of_file(&path)?[0].architecture, &path, &device)?
         }
     };
@@ -352,7 +352,7 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
             let iterations = NonZeroUsize::new(iterations).context("no iterations")?;
             match save_network_onnx(&network, OnnxOptions { iterations, size: *size }, out) {
                 Err(error @ (OnnxError::NotExported { .. } | OnnxError::TooLarge { .. })) => {
-                    wrong_usage!("{}: {error}", out.display())
+                    wrong_settings!("{}: {error}", out.display())
                 }
                 saved => saved?,
             }

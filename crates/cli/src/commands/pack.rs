@@ -9,8 +9,8 @@ use crate::Context;
 use crate::interrupt::{self, Continuable};
 use crate::output::ensure_folder;
 use crate::progress::{Lines, bar};
-use crate::rendering::exit_if_stopped;
-use crate::usage::wrong_usage;
+use crate::run::exit_if_stopped;
+use srflow::wrong_settings;
 
 /// Pack a dataset into WebDataset tars, with an index and a dataset card, to publish and to stream
 #[derive(Args)]
@@ -95,7 +95,7 @@ pub fn run(args: Pack, context: &Context) -> anyhow::Result<()> {
     drop(continuable);
     bar.finish_and_clear();
     let report = match report {
-        Err(error @ PackError::Argument { .. }) => wrong_usage!("{error}"),
+        Err(error @ PackError::Argument { .. }) => wrong_settings!("{error}"),
         report => report?,
     };
     let PackReport { pairs, packed, tars, bytes, stopped, flow_error } = report;

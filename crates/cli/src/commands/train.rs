@@ -13,13 +13,12 @@ use srflow_train::training_log::{Record, StepRecord, read_log};
 use srflow_train::{Event, Outcome, RunMode, Start, Training, config_of_run, report};
 
 use crate::interrupt::{self, Continuable};
-use crate::library::{Watch, parsed};
 use crate::made::open_made;
 use crate::networks::{note_if_ambiguous, weights_file};
 use crate::output::exit_stopped;
 use crate::progress::TrainingProgress;
-use crate::usage::wrong_usage;
 use crate::{Context, machine, ranks};
+use srflow::wrong_settings;
 
 /// Train an optical flow network
 #[derive(Args)]
@@ -223,60 +222,6 @@ impl Job {
     }
 }
 
-/// `srflow train` with these options. Returns what `--json` prints.
-///
-/// # Errors
-/// Those of the command; [`UsageError`](crate::UsageError) for a wrong option.
-pub fn train(options: impl IntoIterator<Item = OsString>, watch: &Watch) -> anyhow::Result<Value> {
-    let args: Train = parsed("srflow train", options)?;
-    if args.mpi {
-        wrong_usage!("mpi: processes train together with the command `srflow train --mpi`");
-    }
-    let print_config = args.print_config;
-    let mut job = args.job()?;
-    if print_config {
-        job.config.check()?;
-        return Ok(serde_json::to_value(&job.config)?);
-    }
-    let steps = Cell::new(0);
-    let outcome = job.run(&Alone, watch.stop, &mut |event| {
-        if let Event::Started(start) = &event {
-            steps.set(start.steps);
-        }
-        (watch.on_progress)(as_json(&event, steps.get()));
-    })?;
-    Ok(summary(&job.out, &outcome))
-}
-
-/// An event of a run of so many `steps`: `done`, `total`, what it is as `event`, and its numbers.
-fn as_json(event: &Event, steps: u64) -> Value {
-    let (name, done, mut value) = match event {
-        Event::Started(start) => {
-            let Start { steps_per_epoch, data, validation, parameters, .. } = start;
-            let facts = json!({
-                "steps_per_epoch": steps_per_epoch, "data": data, "validation": validation, "parameters": parameters,
-            });
-            ("started", start.done, facts)
-        }
-        Event::Recorded(record) => match record {
-            Record::Step(step) => {
-                let parts: serde_json::Map<String, Value> =
-                    step.parts.iter().map(|(name, value)| (name.clone(), json!(value))).collect();
-                let mut facts = json!(step);
-                facts["parts"] = parts.into();
-                ("step", step.step, facts)
-            }
-            Record::Skipped(skipped) => ("skipped", skipped.step, json!(skipped)),
-            Record::Validation(scores) => ("validation", scores.step, json!(scores)),
-        },
-        Event::Saved { path, step } => ("saved", *step, json!({ "path": path })),
-    };
-    value["event"] = json!(name);
-    value["done"] = json!(done);
-    value["total"] = json!(steps);
-    value
-}
-
 pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     let (print_config, mpi) = (args.print_config, args.mpi);
     let mut job = args.job()?;
@@ -312,7 +257,7 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
 pub fn find_weights(config: &mut Config) -> anyhow::Result<()> {
     let network = &mut config.network;
     if let Some(weights) = network.weights.to_str().filter(|weights| !weights.is_empty()) {
-        network.weights = weights_file(Some(network.architecture), weights)?;
+        network.weights = weights_file(Some(network.architecture), weights, &crate::run::WATCH)?;
         note_if_ambiguous(network.architecture, &network.weights)?;
     }
     Ok(())

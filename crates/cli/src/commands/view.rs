@@ -19,8 +19,8 @@ use crate::output::{ensure_extension, ensure_free, print_json};
 use crate::posed_head::{FRAMES_PER_SECOND, MovingHead};
 use crate::progress::bar;
 use crate::scoring::folder_name;
-use crate::usage::wrong_usage;
 use crate::{Context, in_words};
+use srflow::wrong_settings;
 
 /// Show Gaussians, an avatar, a dataset or flow in a browser
 ///
@@ -151,11 +151,13 @@ fn open(args: &View) -> anyhow::Result<Opened> {
             Opened::Whole { title, main }
         }
         Thing::Dataset(spec) => {
-            let dataset = open_dataset(&spec, args.split)?;
+            let dataset = open_dataset(&spec, args.split, &crate::run::WATCH)?;
             let limit = args.limit.map(|limit| limit as usize);
             let methods = match args.method.is_empty() {
                 true => Vec::new(),
-                false => methods::sources(&args.method, &args.parameters, &dataset, limit)?,
+                false => {
+                    methods::sources(&args.method, &args.parameters, &dataset, limit, &crate::run::WATCH)?
+                }
             };
             let title = format!("{spec}, {} split", dataset.split());
             return Ok(Opened::Pairs(Pairs { title, kind: PairKind::Dataset(dataset, methods) }));
@@ -164,14 +166,14 @@ fn open(args: &View) -> anyhow::Result<Opened> {
             Opened::Pairs(Pairs { title: args.thing.clone(), kind: PairKind::Flows(files) })
         }
         Thing::Results { dataset, split, limit, methods } => {
-            let dataset = open_dataset(&dataset, Some(split))?;
-            let methods = methods::sources(&methods, &args.parameters, &dataset, limit)?;
+            let dataset = open_dataset(&dataset, Some(split), &crate::run::WATCH)?;
+            let methods = methods::sources(&methods, &args.parameters, &dataset, limit, &crate::run::WATCH)?;
             let title = format!("{}, {} split", args.thing, dataset.split());
             Opened::Pairs(Pairs { title, kind: PairKind::Dataset(dataset, methods) })
         }
     };
     if !args.method.is_empty() {
-        wrong_usage!("--method is for datasets: its flow is shown beside theirs");
+        wrong_settings!("--method is for datasets: its flow is shown beside theirs");
     }
     Ok(opened)
 }
@@ -214,7 +216,7 @@ impl Thing {
             (_, Ok(dataset)) => Ok(Self::Dataset(dataset)),
             _ => {
                 let found = if path.exists() { "a file of another kind" } else { "no such file or folder" };
-                wrong_usage!(
+                wrong_settings!(
                     "{text}: expected a file of Gaussians ({}), a flow file ({}), a head such as builtin or avatar:DIR, a dataset \
                      such as srflow:DIR, or a folder; found {found}",
                     SplatFormat::extensions(),

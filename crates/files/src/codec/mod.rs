@@ -59,6 +59,8 @@ named!(FlowFormat, "a flow format", {
     Npz16 => "npz16",
 });
 
+srflow_core::serialize_as_text!(FlowFormat);
+
 impl FlowFormat {
     /// The file extension, which is also the name.
     pub fn extension(self) -> &'static str {

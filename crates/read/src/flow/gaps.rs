@@ -3,21 +3,21 @@ use std::path::{Path, PathBuf};
 use super::error::DatasetError;
 
 /// Missing and extra files of a dataset, collected while listing and reported together at the end; and how many pairs were listed so far.
-pub struct Gaps {
+pub struct Gaps<'a> {
     kind: String,
     dir: PathBuf,
     count: usize,
     listed: Vec<String>,
     pairs: u64,
-    on_pairs: Box<dyn Fn(u64)>,
+    on_pairs: Box<dyn Fn(u64) + 'a>,
 }
 
-impl Gaps {
+impl<'a> Gaps<'a> {
     /// How many gaps are listed; the rest are counted.
     const NAMED: usize = 8;
 
     /// `on_pairs` is called with the number of pairs that were listed so far.
-    pub fn new(kind: String, dir: &Path, on_pairs: Box<dyn Fn(u64)>) -> Self {
+    pub fn new(kind: String, dir: &Path, on_pairs: Box<dyn Fn(u64) + 'a>) -> Self {
         Self { kind, dir: dir.to_owned(), count: 0, listed: Vec::new(), pairs: 0, on_pairs }
     }
 

@@ -137,7 +137,7 @@ impl FlowDataset {
     pub fn open_watched(
         spec: &DatasetSpec,
         split: Option<Split>,
-        on_pairs: impl Fn(u64) + 'static,
+        on_pairs: impl Fn(u64),
     ) -> Result<Self, DatasetError> {
         let reader = kind::reader_of(&spec.kind)?;
         let name = reader.name();

@@ -1,12 +1,15 @@
 //! The settings of a capture.
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use srflow_avatar::HeadSource;
 use srflow_core::random::Key;
+use srflow_core::{Color, Size};
 use srflow_splat::Camera;
 
 use crate::RenderError;
+use crate::clap::Args;
 use crate::error::check_size;
 use crate::generate::Rig;
 use crate::head;
@@ -21,27 +24,37 @@ const ROTATION_DEGREES: f64 = 0.01;
 const POSITION_METRES: f64 = 0.0002;
 const FOCAL_SHARE: f64 = 0.0005;
 
-/// Settings. Noise is none at 0.
-#[derive(Debug, Clone, PartialEq)]
+/// The settings of a capture.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct CaptureSettings {
+    /// Head model
+    #[arg(long, value_name = "HEAD", default_value_t = Self::default().head, help = crate::generate::head_help())]
     pub head: HeadSource,
-    /// Number of cameras, up to 16; the front camera, number 8, is always one.
+    /// Number of cameras, 1 to 16; the front camera, number 8, is always one
+    #[arg(long, value_name = "N", default_value_t = Self::default().cameras)]
     pub cameras: usize,
-    /// Number of timesteps.
+    /// Number of timesteps
+    #[arg(long, value_name = "N", default_value_t = Self::default().timesteps)]
     pub timesteps: u32,
-    /// Width and height of the pictures in pixels.
-    pub width: usize,
-    pub height: usize,
-    /// Seed of the person, the motion and the noise.
-    pub seed: u64,
-    /// Behind the head, sRGB.
-    pub background: [u8; 3],
-    /// Sensor noise on the head; 1 is a standard deviation of about 1.8 of 255 in mid-grey.
+    /// Size of the pictures, WIDTHxHEIGHT
+    #[arg(long, value_name = "SIZE", default_value_t = Self::default().size)]
+    pub size: Size,
+    /// Background colour: white, black, #rrggbb or R,G,B (0 to 255 each)
+    #[arg(long, value_name = "COLOUR", default_value_t = Self::default().background)]
+    pub background: Color,
+    /// Sensor noise on the head; 1 is a standard deviation of about 1.8 of 255 in mid-grey
+    #[arg(long, value_name = "FACTOR", default_value_t)]
     pub noise: f32,
-    /// Error of the written cameras; 1 is about half a pixel at 550x802.
+    /// Error of the cameras in transforms.json; 1 is about half a pixel at 550x802
+    #[arg(long, value_name = "FACTOR", default_value_t)]
     pub calibration_noise: f32,
-    /// Standard deviation of the written landmarks, pixels.
+    /// Standard deviation of the landmarks in landmarks.csv, in pixels
+    #[arg(long, value_name = "PIXELS", default_value_t)]
     pub landmark_noise: f32,
+    /// Random seed of the person, the motion and the noise
+    #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
+    pub seed: u64,
 }
 
 impl Default for CaptureSettings {
@@ -50,10 +63,9 @@ impl Default for CaptureSettings {
             head: HeadSource::builtin(),
             cameras: CHOSEN.len(),
             timesteps: 100,
-            width: 550,
-            height: 802,
+            size: Size { width: 550, height: 802 },
             seed: 1,
-            background: [255; 3],
+            background: Color([255; 3]),
             noise: 0.0,
             calibration_noise: 0.0,
             landmark_noise: 0.0,
@@ -63,23 +75,27 @@ impl Default for CaptureSettings {
 
 impl CaptureSettings {
     pub(super) fn validate(&self) -> Result<(), RenderError> {
-        let wrong = |argument, found: String, expected: &str| {
-            Err(RenderError::Argument { argument, found, expected: expected.to_owned() })
+        let wrong = |field, found: String, expected: &str| {
+            Err(RenderError::Setting(srflow_core::SettingError {
+                field,
+                found,
+                expected: expected.to_owned(),
+            }))
         };
         if !(1..=CHOSEN.len()).contains(&self.cameras) {
-            return wrong("--cameras", self.cameras.to_string(), "1 to 16");
+            return wrong("cameras", self.cameras.to_string(), "1 to 16");
         }
         if !(1..=100_000).contains(&self.timesteps) {
-            return wrong("--timesteps", self.timesteps.to_string(), "1 to 100000");
+            return wrong("timesteps", self.timesteps.to_string(), "1 to 100000");
         }
-        check_size((self.width, self.height), 16..=16_384)?;
-        for (argument, value) in [
-            ("--noise", self.noise),
-            ("--calibration-noise", self.calibration_noise),
-            ("--landmark-noise", self.landmark_noise),
+        check_size((self.size.width, self.size.height), 16..=16_384)?;
+        for (field, value) in [
+            ("noise", self.noise),
+            ("calibration_noise", self.calibration_noise),
+            ("landmark_noise", self.landmark_noise),
         ] {
             if !(0.0..=100.0).contains(&value) {
-                return wrong(argument, value.to_string(), "0 to 100");
+                return wrong(field, value.to_string(), "0 to 100");
             }
         }
         Ok(())
@@ -87,20 +103,15 @@ impl CaptureSettings {
 
     /// What `capture.json` holds.
     pub(super) fn arguments(&self) -> Result<Value, RenderError> {
-        let [r, g, b] = self.background;
-        Ok(json!({
-            "srflow_version": env!("CARGO_PKG_VERSION"),
-            "head": head::recorded(&self.head)?,
-            "cameras": self.cameras,
-            "timesteps": self.timesteps,
-            "width": self.width,
-            "height": self.height,
-            "seed": self.seed,
-            "background": format!("#{r:02x}{g:02x}{b:02x}"),
-            "noise": self.noise,
-            "calibration_noise": self.calibration_noise,
-            "landmark_noise": self.landmark_noise,
-        }))
+        let mut arguments = json!(self);
+        arguments["srflow_version"] = env!("CARGO_PKG_VERSION").into();
+        arguments["head"] = head::recorded(&self.head)?.into();
+        arguments["width"] = self.size.width.into();
+        arguments["height"] = self.size.height.into();
+        if let Some(arguments) = arguments.as_object_mut() {
+            arguments.remove("size");
+        }
+        Ok(arguments)
     }
 
     /// Numbers of the cameras, ascending.
@@ -110,7 +121,7 @@ impl CaptureSettings {
 
     /// The true cameras, around a head that has to be moved by `home` to be where the built-in heads are.
     pub(super) fn true_cameras(&self, home: Vec3) -> Vec<(u32, Camera)> {
-        let rig = Rig::new(self.width, self.height, head::centre(&self.head) - home.as_dvec3());
+        let rig = Rig::new(self.size.width, self.size.height, head::centre(&self.head) - home.as_dvec3());
         let views: Vec<_> = Rig::views().map(|(_, view)| view).collect();
         let camera = |index: u32| (index, rig.camera(views[index as usize]));
         self.camera_indices().into_iter().map(camera).collect()
@@ -183,10 +194,13 @@ mod tests {
     fn wrong_settings_are_named() {
         let error = |settings: CaptureSettings| settings.validate().unwrap_err().to_string();
         let base = CaptureSettings::default;
-        assert!(error(CaptureSettings { cameras: 17, ..base() }).contains("--cameras 17: expected 1 to 16"));
-        assert!(error(CaptureSettings { timesteps: 0, ..base() }).contains("--timesteps 0"));
-        assert!(error(CaptureSettings { width: 8, ..base() }).contains("--size 8x802"));
-        assert!(error(CaptureSettings { noise: f32::NAN, ..base() }).contains("--noise NaN"));
-        assert!(error(CaptureSettings { landmark_noise: -1.0, ..base() }).contains("--landmark-noise -1"));
+        assert!(error(CaptureSettings { cameras: 17, ..base() }).contains("cameras 17: expected 1 to 16"));
+        assert!(error(CaptureSettings { timesteps: 0, ..base() }).contains("timesteps 0"));
+        assert!(
+            error(CaptureSettings { size: Size { width: 8, ..base().size }, ..base() })
+                .contains("size 8x802")
+        );
+        assert!(error(CaptureSettings { noise: f32::NAN, ..base() }).contains("noise NaN"));
+        assert!(error(CaptureSettings { landmark_noise: -1.0, ..base() }).contains("landmark_noise -1"));
     }
 }

@@ -154,19 +154,21 @@ pub fn check_rerendered(
     on_pair: &dyn Fn(),
 ) -> Result<Rerendered, RenderError> {
     let manifest = Manifest::read(dir)?;
-    let cannot = |why: &str| RenderError::Argument {
-        argument: "--rerender",
-        found: count.to_string(),
-        expected: format!(
-            "a dataset that this program can render from {} alone; {why}",
-            dir.join(Manifest::MANIFEST).display()
-        ),
+    let cannot = |why: &str| {
+        RenderError::Setting(srflow_core::SettingError {
+            field: "rerender",
+            found: count.to_string(),
+            expected: format!(
+                "a dataset that this program can render from {} alone; {why}",
+                dir.join(Manifest::MANIFEST).display()
+            ),
+        })
     };
     let (settings, _) = Settings::of(&manifest).map_err(|what| cannot(&excerpt(&what)))?;
     if !is_of_this_version(&manifest) {
         return Err(cannot(&format!("srflow {} wrote it", excerpt(&manifest.srflow_version))));
     }
-    if let Some(device) = &manifest.arguments.device {
+    if let Some(device) = manifest.arguments.others.get("device").and_then(serde_json::Value::as_str) {
         return Err(cannot(&format!("it was rasterized on a GPU ({})", excerpt(device))));
     }
     let from_files = !settings.head.is_builtin()

@@ -2,6 +2,7 @@
 
 mod procedural;
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -40,6 +41,19 @@ impl FromStr for Background {
     }
 }
 
+impl fmt::Display for Background {
+    /// As [`Background::from_str`] reads it.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Colour([r, g, b]) => write!(f, "#{r:02x}{g:02x}{b:02x}"),
+            Self::Procedural => f.pad(PROCEDURAL),
+            Self::Images(dir) => dir.display().fmt(f),
+        }
+    }
+}
+
+srflow_core::serialize_as_text!(Background);
+
 /// [`Background::Procedural`] in arguments and in `dataset.json`.
 pub(super) const PROCEDURAL: &str = "procedural";
 
@@ -57,30 +71,30 @@ pub(super) fn behind(
     })
 }
 
-/// Names and sizes of the image files in a folder, by name. Errors name the `argument` and what was `expected` of it.
+/// Names and sizes of the image files in a folder, by name. Errors name the `field` and what was `expected` of it.
 pub(crate) fn images_in(
     dir: &Path,
-    argument: &'static str,
+    field: &'static str,
     expected: &'static str,
 ) -> Result<Vec<(String, u64)>, RenderError> {
-    let mut files = list_files(dir, argument, expected)?;
+    let mut files = list_files(dir, field, expected)?;
     files.retain(|(name, _)| {
         let ending = name.rsplit_once('.').map_or("", |(_, ending)| ending);
         IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(ending))
     });
     if files.is_empty() {
-        return Err(RenderError::Argument {
-            argument,
+        return Err(RenderError::Setting(srflow_core::SettingError {
+            field,
             found: dir.display().to_string(),
             expected: format!("a folder with images ({})", IMAGE_EXTENSIONS.join(", ")),
-        });
+        }));
     }
     Ok(files)
 }
 
-/// The images of `--background`.
+/// The images of the setting `background`.
 pub(super) fn images(dir: &Path) -> Result<Vec<(String, u64)>, RenderError> {
-    images_in(dir, "--background", "white, black, #rrggbb, procedural or a folder of images")
+    images_in(dir, "background", "white, black, #rrggbb, procedural or a folder of images")
 }
 
 /// The image of each scene, if backgrounds are images.
@@ -108,11 +122,11 @@ pub(super) fn chosen(images: &[(String, u64)], scene: u32, seed: u64) -> Option<
 fn load(path: &Path, width: usize, height: usize) -> Result<Image, RenderError> {
     let image = read_image(path)?;
     if image.width() == 0 || image.height() == 0 {
-        return Err(RenderError::Argument {
-            argument: "--background",
+        return Err(RenderError::Setting(srflow_core::SettingError {
+            field: "background",
             found: path.display().to_string(),
             expected: "an image with at least one pixel".into(),
-        });
+        }));
     }
     Ok(fill(&image, width, height))
 }

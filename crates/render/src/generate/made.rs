@@ -36,11 +36,11 @@ impl ScenePairs {
     pub fn new(settings: Settings) -> Result<Self, RenderError> {
         super::checked_plan(&settings, &Avatars::keeping(1))?;
         if settings.frames.fract() != 0.0 {
-            return Err(RenderError::Argument {
-                argument: "--frames",
+            return Err(RenderError::Setting(srflow_core::SettingError {
+                field: "frames",
                 found: settings.frames.to_string(),
                 expected: "a whole number: every scene has as many pairs".to_owned(),
-            });
+            }));
         }
         let backgrounds = match &settings.background {
             Background::Images(dir) => background::images(dir)?,

@@ -39,6 +39,8 @@ pub use rig::{CANONICAL_CAMERA, FULL_SIZE, Rig, View};
 pub(crate) use scene::{Action, Views, record, unit_name};
 pub use settings::Settings;
 pub(crate) use settings::{fingerprint, list_files};
+#[cfg(feature = "clap")]
+pub(crate) use settings::{flow_format_help, head_help};
 
 /// The result of [`generate`].
 #[derive(Debug, Clone)]
@@ -90,11 +92,11 @@ fn check_length(settings: &Settings, manifest: &Manifest, avatar: &Avatar) -> Re
     let Some(poses) = settings.motion.poses(avatar)? else { return Ok(()) };
     let longest = manifest.scenes.iter().map(|scene| scene.pairs).max().unwrap_or(0);
     if longest as usize >= poses.len() {
-        return Err(RenderError::Argument {
-            argument: "--frames",
+        return Err(RenderError::Setting(srflow_core::SettingError {
+            field: "frames",
             found: settings.frames.to_string(),
             expected: format!("less than the {} timesteps of the motion", poses.len()),
-        });
+        }));
     }
     Ok(())
 }

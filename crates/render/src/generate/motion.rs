@@ -25,6 +25,10 @@ pub enum MotionSource {
 }
 
 impl MotionSource {
+    pub(super) fn is_curves(&self) -> bool {
+        *self == Self::Curves
+    }
+
     /// Whether it is in files, an avatar's own or others.
     pub(crate) fn is_of_files(&self) -> bool {
         matches!(self, Self::Own | Self::Recorded(_))
@@ -58,12 +62,12 @@ impl MotionSource {
     ) -> Result<Option<Vec<PoseParameters>>, RenderError> {
         let parameters = match self {
             Self::Own if avatar.own_motion().is_empty() => {
-                return Err(RenderError::Argument {
-                    argument: "--motion",
+                return Err(RenderError::Setting(srflow_core::SettingError {
+                    field: "motion",
                     found: "own".to_owned(),
                     expected: "curves or a file for this head: only the avatars of --head avatar:DIR have a motion of their own"
                         .to_owned(),
-                });
+                }));
             }
             Self::Own => return Ok(Some(avatar.own_motion().to_vec())),
             Self::Curves | Self::Mixed | Self::Recorded(_) => match recorded {
@@ -73,10 +77,12 @@ impl MotionSource {
         };
         // The identity stays the avatar's: only the motion is of another.
         let motion = HeadParameters { poses: parameters.poses, ..HeadParameters::default() };
-        motion.check(avatar.model()).map_err(|error| RenderError::Argument {
-            argument: "--motion",
-            found: self.to_string(),
-            expected: format!("the motion of the same kind of head ({error})"),
+        motion.check(avatar.model()).map_err(|error| {
+            RenderError::Setting(srflow_core::SettingError {
+                field: "motion",
+                found: self.to_string(),
+                expected: format!("the motion of the same kind of head ({error})"),
+            })
         })?;
         Ok(Some(motion.poses))
     }
@@ -106,3 +112,5 @@ impl fmt::Display for MotionSource {
         }
     }
 }
+
+srflow_core::serialize_as_text!(MotionSource);

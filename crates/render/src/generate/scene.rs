@@ -143,7 +143,7 @@ impl Scene {
         avatar: Arc<Avatar>,
     ) -> Result<Self, RenderError> {
         let key = Key::new(settings.seed).scene(number);
-        let size = (settings.width, settings.height);
+        let size = (settings.size.width, settings.size.height);
         let background = background::behind(&settings.background, entry.background.as_deref(), size, key)?;
         let action = Action::new(settings, rig, number, entry, avatar.model());
         let action = Action { home: avatar.home(), recorded: settings.motion.poses(&avatar)?, ..action };

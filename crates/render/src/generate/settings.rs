@@ -2,16 +2,22 @@
 
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use srflow_avatar::HeadSource;
 use srflow_core::random::Key;
+use srflow_core::{Numbers, SettingError, Size, excerpt};
 use srflow_files::FlowFormat;
 use srflow_splat::Device;
 
 use super::background::{self, Background};
 use super::{FULL_SIZE, MotionSource, Rig};
+use crate::clap::Args;
 use crate::error::check_size;
 use crate::{RenderError, head};
-use srflow_read::manifest::{Arguments, LAYOUT_VERSION, Manifest, Recording, SceneEntry, SceneSplit};
+use srflow_read::manifest::{
+    Arguments, LAYOUT_VERSION, MANIFEST_NAME, Manifest, Recording, SceneEntry, SceneSplit,
+};
 
 /// Maximum number of scenes, and of pairs in a scene: file names have a fixed number of digits.
 const MAX_SCENES: u32 = 10_000;
@@ -21,36 +27,69 @@ const MAX_PAIRS: f64 = 99_999.0;
 const SIDES: std::ops::RangeInclusive<usize> = 16..=16_384;
 
 /// The settings of a dataset.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Settings {
-    /// Head model.
+    /// Head model
+    #[arg(long, value_name = "HEAD", default_value_t = Self::default().head, help = head_help())]
     pub head: HeadSource,
-    /// Number of scenes, one subject each.
+    /// Number of scenes, one subject each
+    #[arg(long, value_name = "N", default_value_t = Self::default().scenes)]
     pub scenes: u32,
-    /// Mean number of frame pairs per scene; `scenes * frames`, rounded, are distributed as evenly as possible.
+    /// Frame pairs per scene; if not an integer, the mean over the scenes, rounded so that scenes are as even as possible
+    #[arg(long, value_name = "N", default_value_t = Self::default().frames)]
     pub frames: f64,
-    /// Frame width in pixels.
-    pub width: usize,
-    /// Frame height in pixels.
-    pub height: usize,
-    /// Shares of train, val and test; they sum to 1.
-    pub splits: [f64; 3],
-    /// Random seed.
+    /// Size of the frames, WIDTHxHEIGHT
+    #[arg(long, value_name = "SIZE", default_value_t = Self::default().size)]
+    pub size: Size,
+    /// Shares of train, val and test scenes, which sum to 1
+    #[arg(long, value_name = "SHARES", default_value_t = Self::default().splits)]
+    pub splits: Numbers<f64, 3>,
+    /// Random seed
+    #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
     pub seed: u64,
-    /// File format of the flow.
+    /// File format of the flow
+    #[arg(long, value_name = "FORMAT", default_value_t = Self::default().flow_format, help = flow_format_help())]
     pub flow_format: FlowFormat,
-    /// Whether to write backward flow too.
+    /// Also write the flow from frame 2 to frame 1
+    #[arg(long)]
     pub backward: bool,
-    /// Whether to write depth too.
+    /// Also write depth
+    #[arg(long)]
     pub depth: bool,
-    pub background: Background,
-    pub motion: MotionSource,
-    /// Whether to write [region maps](srflow_read::region_map) too.
+    /// Also write region maps: whether a pixel shows skin, eyes, mouth, hair or neck
+    #[arg(long)]
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub regions: bool,
-    /// Imaging effects on the frames.
-    pub recording: Recording,
-    /// What rasterizes.
+    /// Background: white, black, #rrggbb, `procedural` (rooms, textures, gradients, lights), or a folder of images
+    #[arg(long, value_name = "COLOUR|DIR", default_value_t = Self::default().background)]
+    pub background: Background,
+    /// Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (with micro-expressions, small and large),
+    /// `own` (the one that an avatar was trained on), or a flame_param.npz or capture of another subject with the same kind of head
+    #[arg(long, value_name = "MOTION", default_value_t = Self::default().motion)]
+    #[serde(skip_serializing_if = "MotionSource::is_curves")]
+    pub motion: MotionSource,
+    /// Device to rasterize on
+    #[arg(long, value_name = "DEVICE", default_value_t = Self::default().device)]
+    #[serde(skip_serializing_if = "Device::is_cpu")]
     pub device: Device,
+    /// Imaging effects on the frames
+    // Last: its heading holds for all that follow.
+    #[command(flatten)]
+    #[serde(skip_serializing_if = "Recording::is_none")]
+    pub recording: Recording,
+}
+
+/// The help of a head's setting.
+#[cfg(feature = "clap")]
+pub(crate) fn head_help() -> String {
+    format!("Head model: {}", HeadSource::help())
+}
+
+/// The help of a flow format's setting.
+#[cfg(feature = "clap")]
+pub(crate) fn flow_format_help() -> String {
+    format!("File format of the flow: {}", FlowFormat::ALL.map(FlowFormat::extension).join(", "))
 }
 
 impl Default for Settings {
@@ -60,9 +99,8 @@ impl Default for Settings {
             head: HeadSource::builtin(),
             scenes: 27,
             frames: 413.37,
-            width: FULL_SIZE.0,
-            height: FULL_SIZE.1,
-            splits: [0.61, 0.11, 0.28],
+            size: Size { width: FULL_SIZE.0, height: FULL_SIZE.1 },
+            splits: Numbers([0.61, 0.11, 0.28]),
             seed: 1,
             flow_format: FlowFormat::Npz16,
             backward: false,
@@ -100,7 +138,7 @@ impl Settings {
 
     /// The plan for valid settings.
     fn lay_out(&self, arguments: Arguments, backgrounds: Vec<Option<String>>) -> Manifest {
-        let splits = assign_splits(self.scenes as usize, self.splits, self.seed);
+        let splits = assign_splits(self.scenes as usize, *self.splits, self.seed);
         let entry = |(number, (split, background)): (u32, (SceneSplit, Option<String>))| {
             let pairs = self.pairs_before(number + 1) - self.pairs_before(number);
             self.entry(number, split, pairs, background)
@@ -133,47 +171,33 @@ impl Settings {
     /// Names the arguments of the manifest that `srflow render` would not accept.
     pub(crate) fn of(manifest: &Manifest) -> Result<(Self, Manifest), String> {
         let arguments = &manifest.arguments;
-        let wrong =
-            |name: &str, found: &str, expected: &str| format!("{name} `{found}`: expected {expected}");
-        let (head, background) = (arguments.head.as_str(), arguments.background.as_str());
-        let settings = Self {
-            head: HeadSource::of_kind(head.split(", ").next().unwrap_or_default())
-                .filter(|source| source.is_builtin() != head.contains(", "))
-                .ok_or_else(|| wrong("head", head, "`builtin`, or the kind of a head with a fingerprint"))?,
-            scenes: arguments.scenes,
-            frames: arguments.frames,
-            width: arguments.width,
-            height: arguments.height,
-            splits: arguments.splits,
-            seed: arguments.seed,
-            flow_format: arguments.flow_format.parse().map_err(|error| format!("flow_format: {error}"))?,
-            backward: arguments.backward,
-            depth: arguments.depth,
-            background: match background.parse() {
-                _ if background.starts_with("images, ") => Background::Images(PathBuf::new()),
-                Ok(made @ (Background::Colour(_) | Background::Procedural)) => made,
-                _ => {
-                    let expected = "#rrggbb, `procedural`, or `images` with a fingerprint";
-                    return Err(wrong("background", background, expected));
-                }
-            },
-            motion: match arguments.motion.as_str() {
-                _ if arguments.motion.starts_with("recorded, ") => MotionSource::Recorded(PathBuf::new()),
-                "curves" => MotionSource::Curves,
-                "mixed" => MotionSource::Mixed,
-                "own" => MotionSource::Own,
-                other => {
-                    return Err(wrong(
-                        "motion",
-                        other,
-                        "`curves`, `mixed`, `own`, or `recorded` with a fingerprint",
-                    ));
-                }
-            },
-            regions: arguments.regions,
-            recording: arguments.recording,
-            device: Device::cpu(),
-        };
+        let mut settings = arguments.settings().map_err(|error| error.to_string())?;
+        // What is in files is known by its fingerprint alone, and a device may be one that this build lacks.
+        let mut text = |field: &str| settings.as_object_mut().and_then(|settings| settings.remove(field));
+        let [head, background, motion, _] = ["head", "background", "motion", "device"].map(&mut text);
+        let mut settings: Self = serde_json::from_value(settings).map_err(|error| error.to_string())?;
+        let wrong = |field: &str, found: &str| format!("{field} `{}`: unknown kind", excerpt(found));
+        if let Some(head) = head.as_ref().and_then(Value::as_str) {
+            let (kind, has_files) = split_fingerprint(head);
+            settings.head = HeadSource::of_kind(kind)
+                .filter(|source| source.is_builtin() != has_files)
+                .ok_or_else(|| wrong("head", head))?;
+        }
+        if let Some(background) = background.as_ref().and_then(Value::as_str) {
+            settings.background = match (split_fingerprint(background), background.parse()) {
+                (("images", true), _) => Background::Images(PathBuf::new()),
+                (_, Ok(made @ (Background::Colour(_) | Background::Procedural))) => made,
+                _ => return Err(wrong("background", background)),
+            };
+        }
+        if let Some(motion) = motion.as_ref().and_then(Value::as_str) {
+            let Ok(parsed) = motion.parse();
+            settings.motion = match (split_fingerprint(motion), parsed) {
+                (("recorded", true), _) => MotionSource::Recorded(PathBuf::new()),
+                (_, MotionSource::Recorded(_)) => return Err(wrong("motion", motion)),
+                (_, made) => made,
+            };
+        }
         settings.validate().map_err(|error| error.to_string())?;
         let images = matches!(settings.background, Background::Images(_));
         let named = manifest.scenes.iter().map(|scene| scene.background.clone());
@@ -189,12 +213,12 @@ impl Settings {
         if self.validate().is_err() {
             return Vec::new();
         }
-        let counts = |scenes: u32| largest_remainder(scenes as usize, self.splits);
+        let counts = |scenes: u32| largest_remainder(scenes as usize, *self.splits);
         let lacks = |scenes: u32, part: usize| self.splits[part] > 0.0 && counts(scenes)[part] == 0;
         let empty = (0..3).filter(|&part| lacks(self.scenes, part));
         let enough = (self.scenes..=MAX_SCENES).find(|&scenes| (0..3).all(|part| !lacks(scenes, part)));
-        let advice = enough.map_or("give it a larger share with --splits".to_owned(), |scenes| {
-            format!("--scenes {scenes} gives each split at least one, or change --splits")
+        let advice = enough.map_or("give it a larger share with `splits`".to_owned(), |scenes| {
+            format!("`scenes` = {scenes} gives each split at least one, or change `splits`")
         });
         let note = |part: usize| {
             let (split, share) = (SceneSplit::ALL[part], self.splits[part]);
@@ -208,7 +232,7 @@ impl Settings {
 
     /// The rig, independent of the subject.
     pub(crate) fn rig(&self) -> Rig {
-        Rig::new(self.width, self.height, head::centre(&self.head))
+        Rig::new(self.size.width, self.size.height, head::centre(&self.head))
     }
 
     /// Number of pairs in the scenes before scene `number`: every scene has the mean, rounded down or up.
@@ -218,83 +242,72 @@ impl Settings {
     }
 
     fn validate(&self) -> Result<(), RenderError> {
-        let wrong = |argument, found: String, expected: String| {
-            Err(RenderError::Argument { argument, found, expected })
+        let wrong = |field, found: String, expected: String| {
+            Err(RenderError::Setting(SettingError { field, found, expected }))
         };
         if !(1..=MAX_SCENES).contains(&self.scenes) {
-            return wrong("--scenes", self.scenes.to_string(), format!("1 to {MAX_SCENES}"));
+            return wrong("scenes", self.scenes.to_string(), format!("1 to {MAX_SCENES}"));
         }
         if !(1.0..=MAX_PAIRS).contains(&self.frames) {
-            return wrong("--frames", self.frames.to_string(), format!("1 to {MAX_PAIRS}"));
+            return wrong("frames", self.frames.to_string(), format!("1 to {MAX_PAIRS}"));
         }
-        check_size((self.width, self.height), SIDES)?;
+        check_size((self.size.width, self.size.height), SIDES)?;
         let sum: f64 = self.splits.iter().sum();
         if self.splits.iter().any(|share| !(0.0..=1.0).contains(share)) || (sum - 1.0).abs() > 1e-6 {
-            let [train, val, test] = self.splits;
-            let found = format!("{train},{val},{test}");
-            return wrong("--splits", found, format!("three shares from 0 to 1 that sum to 1, not {sum:.6}"));
+            return wrong(
+                "splits",
+                self.splits.to_string(),
+                format!("three shares from 0 to 1 that sum to 1, not {sum:.6}"),
+            );
         }
         let Recording { noise, lighting, lamps, shutter, defocus, jpeg } = self.recording;
-        for (argument, value, most, unit) in [
-            ("--noise", noise, 50.0, ""),
-            ("--lighting", lighting, 4.0, ""),
-            ("--lamps", lamps, 1.0, ""),
-            ("--shutter", shutter, 1.0, ""),
-            ("--defocus", defocus, 64.0, " pixels"),
+        for (field, value, most, unit) in [
+            ("recording.noise", noise, 50.0, ""),
+            ("recording.lighting", lighting, 4.0, ""),
+            ("recording.lamps", lamps, 1.0, ""),
+            ("recording.shutter", shutter, 1.0, ""),
+            ("recording.defocus", defocus, 64.0, " pixels"),
         ] {
             if !(0.0..=most).contains(&value) {
-                return wrong(argument, value.to_string(), format!("0 to {most}{unit}"));
+                return wrong(field, value.to_string(), format!("0 to {most}{unit}"));
             }
         }
         if let Some(quality) = jpeg
             && !(1..=100).contains(&quality)
         {
-            return wrong("--jpeg", quality.to_string(), "1 to 100".to_owned());
+            return wrong("recording.jpeg", quality.to_string(), "1 to 100".to_owned());
         }
         Ok(())
     }
 
+    /// The settings as `dataset.json` holds them: all that determine the bytes, with fingerprints in place of folders.
     fn arguments(&self) -> Result<Arguments, RenderError> {
-        let background = match &self.background {
-            Background::Colour([r, g, b]) => format!("#{r:02x}{g:02x}{b:02x}"),
-            Background::Procedural => background::PROCEDURAL.to_owned(),
-            Background::Images(dir) => format!("images, {}", fingerprint(&background::images(dir)?)),
-        };
-        Ok(Arguments {
-            head: head::recorded(&self.head)?,
-            scenes: self.scenes,
-            frames: self.frames,
-            width: self.width,
-            height: self.height,
-            splits: self.splits,
-            seed: self.seed,
-            flow_format: self.flow_format.extension().to_owned(),
-            backward: self.backward,
-            depth: self.depth,
-            background,
-            motion: match &self.motion {
-                MotionSource::Recorded(path) => {
-                    format!("recorded, {}", fingerprint(&files_at(path, "--motion")?))
-                }
-                made => made.to_string(),
-            },
-            regions: self.regions,
-            recording: self.recording,
-            device: Some(self.device.kind()).filter(|kind| *kind != Device::cpu().kind()).map(str::to_owned),
-        })
+        let mut settings = serde_json::json!(self);
+        settings["head"] = head::recorded(&self.head)?.into();
+        if let Background::Images(dir) = &self.background {
+            settings["background"] = format!("images, {}", fingerprint(&background::images(dir)?)).into();
+        }
+        if let MotionSource::Recorded(path) = &self.motion {
+            settings["motion"] = format!("recorded, {}", fingerprint(&files_at(path, "motion")?)).into();
+        }
+        if !self.device.is_cpu() {
+            settings["device"] = self.device.kind().into();
+        }
+        Arguments::of_settings(settings, self.size)
+            .map_err(|error| RenderError::Malformed { path: MANIFEST_NAME.into(), reason: error.to_string() })
     }
 }
 
 /// Names and sizes of the files in a folder, sorted by name.
 ///
 /// # Errors
-/// When the folder cannot be read; the error names the `argument` and what was `expected` of it.
+/// When the folder cannot be read; the error names the `field` and what was `expected` of it.
 pub(crate) fn list_files(
     dir: &Path,
-    argument: &'static str,
+    field: &'static str,
     expected: &'static str,
 ) -> Result<Vec<(String, u64)>, RenderError> {
-    let failed = |error| RenderError::Folder { argument, path: dir.to_owned(), error, expected };
+    let failed = |error| RenderError::Folder { field, path: dir.to_owned(), error, expected };
     let mut files = Vec::new();
     for entry in std::fs::read_dir(dir).map_err(failed)? {
         let entry = entry.map_err(failed)?;
@@ -308,15 +321,20 @@ pub(crate) fn list_files(
 }
 
 /// Name and size of a file, or of the files in a folder.
-fn files_at(path: &Path, argument: &'static str) -> Result<Vec<(String, u64)>, RenderError> {
+fn files_at(path: &Path, field: &'static str) -> Result<Vec<(String, u64)>, RenderError> {
     const EXPECTED: &str = "a file or folder that can be read";
-    let failed = |error| RenderError::Folder { argument, path: path.to_owned(), error, expected: EXPECTED };
+    let failed = |error| RenderError::Folder { field, path: path.to_owned(), error, expected: EXPECTED };
     let metadata = std::fs::metadata(path).map_err(failed)?;
     if metadata.is_dir() {
-        return list_files(path, argument, EXPECTED);
+        return list_files(path, field, EXPECTED);
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     Ok(vec![(name, metadata.len())])
+}
+
+/// The kind of what `dataset.json` records, and whether a fingerprint of its files follows.
+fn split_fingerprint(recorded: &str) -> (&str, bool) {
+    recorded.split_once(", ").map_or((recorded, false), |(kind, _)| (kind, true))
 }
 
 /// A short hash of the names and sizes of files (FNV-1a), independent of their folder.
@@ -401,10 +419,11 @@ mod tests {
     fn splits_that_get_no_scene_are_named() {
         let notes = Settings { scenes: 3, ..Settings::default() }.empty_splits();
         assert!(notes.len() == 1 && notes[0].contains("the val split is empty"), "{notes:?}");
-        let enough = notes[0].split("--scenes ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+        let enough =
+            notes[0].split("`scenes` = ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
         assert!(Settings { scenes: enough, ..Settings::default() }.empty_splits().is_empty());
         assert!(!Settings { scenes: enough - 1, ..Settings::default() }.empty_splits().is_empty());
-        let wanted = Settings { scenes: 1, splits: [1.0, 0.0, 0.0], ..Settings::default() };
+        let wanted = Settings { scenes: 1, splits: Numbers([1.0, 0.0, 0.0]), ..Settings::default() };
         assert!(wanted.empty_splits().is_empty(), "a share of zero is intended");
     }
 
@@ -412,24 +431,29 @@ mod tests {
     fn errors_come_before_any_work() {
         let error = |settings: Settings| plan(&settings).unwrap_err();
         let base = Settings::default;
-        assert!(error(Settings { scenes: 0, ..base() }).contains("--scenes 0: expected 1 to 10000"));
-        assert!(error(Settings { frames: 0.0, ..base() }).contains("--frames 0"));
-        assert!(error(Settings { frames: f64::NAN, ..base() }).contains("--frames NaN"));
-        assert!(error(Settings { width: 0, ..base() }).contains("--size 0x3208"));
-        assert!(error(Settings { height: 1 << 40, ..base() }).contains("to 16384x16384"));
-        assert!(error(Settings { splits: [0.5, 0.1, 0.1], ..base() }).contains("sum to 1, not 0.7"));
-        assert!(error(Settings { splits: [1.5, -0.5, 0.0], ..base() }).contains("from 0 to 1"));
-        let images = Background::Images("/nowhere".into());
-        assert!(error(Settings { background: images, ..base() }).contains("--background /nowhere"));
+        assert!(error(Settings { scenes: 0, ..base() }).contains("scenes 0: expected 1 to 10000"));
+        assert!(error(Settings { frames: 0.0, ..base() }).contains("frames 0"));
+        assert!(error(Settings { frames: f64::NAN, ..base() }).contains("frames NaN"));
+        assert!(error(Settings { size: Size { width: 0, ..base().size }, ..base() }).contains("size 0x3208"));
         assert!(
-            error(Settings { head: "ict:/nowhere".parse().unwrap(), ..base() }).contains("--head /nowhere")
+            error(Settings { size: Size { height: 1 << 40, ..base().size }, ..base() })
+                .contains("to 16384x16384")
+        );
+        assert!(error(Settings { splits: Numbers([0.5, 0.1, 0.1]), ..base() }).contains("sum to 1, not 0.7"));
+        assert!(error(Settings { splits: Numbers([1.5, -0.5, 0.0]), ..base() }).contains("from 0 to 1"));
+        let images = Background::Images("/nowhere".into());
+        assert!(error(Settings { background: images, ..base() }).contains("background /nowhere"));
+        assert!(
+            error(Settings { head: "ict:/nowhere".parse().unwrap(), ..base() }).contains("head /nowhere")
         );
         let recorded = |recording| error(Settings { recording, ..base() });
-        assert!(recorded(Recording { noise: f32::NAN, ..Recording::none() }).contains("--noise NaN"));
-        assert!(recorded(Recording { lighting: -1.0, ..Recording::none() }).contains("--lighting -1"));
-        assert!(recorded(Recording { lamps: 2.0, ..Recording::none() }).contains("--lamps 2"));
-        assert!(recorded(Recording { shutter: 1.1, ..Recording::none() }).contains("--shutter 1.1"));
-        assert!(recorded(Recording { defocus: 65.0, ..Recording::none() }).contains("--defocus 65"));
-        assert!(recorded(Recording { jpeg: Some(0), ..Recording::none() }).contains("--jpeg 0"));
+        assert!(recorded(Recording { noise: f32::NAN, ..Recording::none() }).contains("recording.noise NaN"));
+        assert!(
+            recorded(Recording { lighting: -1.0, ..Recording::none() }).contains("recording.lighting -1")
+        );
+        assert!(recorded(Recording { lamps: 2.0, ..Recording::none() }).contains("recording.lamps 2"));
+        assert!(recorded(Recording { shutter: 1.1, ..Recording::none() }).contains("recording.shutter 1.1"));
+        assert!(recorded(Recording { defocus: 65.0, ..Recording::none() }).contains("recording.defocus 65"));
+        assert!(recorded(Recording { jpeg: Some(0), ..Recording::none() }).contains("recording.jpeg 0"));
     }
 }

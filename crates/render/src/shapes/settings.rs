@@ -2,9 +2,12 @@
 
 use std::path::PathBuf;
 
+use serde::{Deserialize, Serialize};
+use srflow_core::{Numbers, Size};
 use srflow_files::FlowFormat;
 
 use crate::RenderError;
+use crate::clap::Args;
 use crate::error::check_size;
 
 /// Maximum number of pairs: file names have five digits.
@@ -20,18 +23,26 @@ const LENGTHS: std::ops::RangeInclusive<f32> = 0.001..=1000.0;
 const PAIRS_PER_VALIDATION: u32 = 36;
 
 /// The settings of a dataset of generic pairs.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct ShapesSettings {
+    /// Number of pairs
+    #[arg(long, value_name = "N", default_value_t = Self::default().pairs)]
     pub pairs: u32,
-    /// Frame width in pixels.
-    pub width: usize,
-    /// Frame height in pixels.
-    pub height: usize,
-    pub seed: u64,
-    /// Typical length of the motions of a pair in pixels, from the shortest to the longest; each octave is equally likely.
-    pub motion: [f32; 2],
-    /// A folder of images, which half of the layers show.
+    /// Size of the frames, WIDTHxHEIGHT
+    #[arg(long, value_name = "SIZE", default_value_t = Self::default().size)]
+    pub size: Size,
+    /// Typical motion in pixels, from the shortest to the longest; each octave is equally likely
+    #[arg(long, value_name = "SHORTEST,LONGEST", default_value_t = Self::default().motion)]
+    pub motion: Numbers<f32, 2>,
+    /// Folder of images that half of the layers show [default: procedural textures]
+    #[arg(long, value_name = "DIR")]
     pub textures: Option<PathBuf>,
+    /// Random seed
+    #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
+    pub seed: u64,
+    /// File format of the flow
+    #[arg(long, value_name = "FORMAT", default_value_t = Self::default().flow_format, help = crate::generate::flow_format_help())]
     pub flow_format: FlowFormat,
 }
 
@@ -40,11 +51,10 @@ impl Default for ShapesSettings {
     fn default() -> Self {
         Self {
             pairs: 22_872,
-            width: 512,
-            height: 384,
-            seed: 1,
-            motion: [0.25, 32.0],
+            size: Size { width: 512, height: 384 },
+            motion: Numbers([0.25, 32.0]),
             textures: None,
+            seed: 1,
             flow_format: FlowFormat::Npz16,
         }
     }
@@ -57,18 +67,18 @@ pub(super) fn validates(pair: u32) -> bool {
 
 impl ShapesSettings {
     pub(super) fn validate(&self) -> Result<(), RenderError> {
-        let wrong = |argument, found: String, expected: String| {
-            Err(RenderError::Argument { argument, found, expected })
+        let wrong = |field, found: String, expected: String| {
+            Err(RenderError::Setting(srflow_core::SettingError { field, found, expected }))
         };
         if !(1..=MAX_PAIRS).contains(&self.pairs) {
-            return wrong("--pairs", self.pairs.to_string(), format!("1 to {MAX_PAIRS}"));
+            return wrong("pairs", self.pairs.to_string(), format!("1 to {MAX_PAIRS}"));
         }
-        check_size((self.width, self.height), SIDES)?;
-        let [shortest, longest] = self.motion;
+        check_size((self.size.width, self.size.height), SIDES)?;
+        let [shortest, longest] = *self.motion;
         if !(LENGTHS.contains(&shortest) && LENGTHS.contains(&longest) && shortest <= longest) {
             let (low, high) = (LENGTHS.start(), LENGTHS.end());
             let expected = format!("two lengths from {low} to {high} px, the shorter first, such as 0.25,32");
-            return wrong("--motion", format!("{shortest},{longest}"), expected);
+            return wrong("motion", self.motion.to_string(), expected);
         }
         Ok(())
     }

@@ -46,7 +46,6 @@ pub(crate) struct Arguments {
     motion: [f32; 2],
     /// `made`, or the number and the fingerprint of the photographs.
     textures: String,
-    #[serde(with = "crate::record::format_name")]
     flow_format: FlowFormat,
 }
 
@@ -124,18 +123,18 @@ impl ShapePairs {
         let (photographs, textures) = match &settings.textures {
             None => (Vec::new(), "made".to_owned()),
             Some(dir) => {
-                let files = images_in(dir, "--textures", "a folder of images")?;
+                let files = images_in(dir, "textures", "a folder of images")?;
                 (files.iter().map(|(name, _)| dir.join(name)).collect(), fingerprint(&files))
             }
         };
-        let ShapesSettings { pairs, width, height, seed, motion, flow_format, .. } = settings;
+        let ShapesSettings { pairs, size, seed, motion, flow_format, .. } = settings;
         let arguments = Arguments {
             srflow_version: env!("CARGO_PKG_VERSION").to_owned(),
             pairs,
-            width,
-            height,
+            width: size.width,
+            height: size.height,
             seed,
-            motion,
+            motion: *motion,
             textures,
             flow_format,
         };
@@ -144,7 +143,7 @@ impl ShapePairs {
 
     /// Pair `number`, from 0.
     fn pair(&self, number: u32, photographs: &mut Photographs) -> Result<ShapePair, RenderError> {
-        let ShapesSettings { width, height, seed, motion, .. } = self.settings;
+        let ShapesSettings { size, seed, motion, .. } = self.settings;
         let mut unread = None;
         let mut photograph = |stream: &mut Stream| {
             photographs.draw(&self.photographs, stream).unwrap_or_else(|error| {
@@ -153,7 +152,7 @@ impl ShapePairs {
             })
         };
         let key = Key::new(seed).scene(number);
-        let pair = ShapePair::random((width, height), key, motion, &mut photograph);
+        let pair = ShapePair::random((size.width, size.height), key, *motion, &mut photograph);
         unread.map_or(Ok(pair), Err)
     }
 }
@@ -258,11 +257,11 @@ impl Photographs {
         if !self.0.contains_key(&number) {
             let image = reduced(read_image(&paths[number])?);
             if image.pixels().is_empty() {
-                return Err(RenderError::Argument {
-                    argument: "--textures",
+                return Err(RenderError::Setting(srflow_core::SettingError {
+                    field: "textures",
                     found: paths[number].display().to_string(),
                     expected: "images with at least one pixel".into(),
-                });
+                }));
             }
             if self.0.len() == KEPT {
                 self.0.pop_first();

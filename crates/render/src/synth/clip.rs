@@ -51,7 +51,7 @@ impl Clip {
             action_unit_sets(plan.class),
             key,
             FRAMES_AT_REST,
-            settings.frames_per_second,
+            settings.fps,
         )?;
         for (_, _, intensity) in &mut expression.action_units {
             *intensity = (*intensity * settings.intensity).clamp(0.0, 1.0);
@@ -143,7 +143,7 @@ fn camera(avatar: &Avatar, side: usize, stream: &mut Stream) -> Camera {
 
 /// Slow rotations and translations of the head, throughout the clip.
 fn drift(stream: &mut Stream, settings: &SynthSettings, frames: usize) -> SmoothPath<6> {
-    let seconds = frames as f32 / settings.frames_per_second;
+    let seconds = frames as f32 / settings.fps;
     let knots = (seconds / DRIFT_KNOT_SECONDS).ceil().clamp(1.0, 1000.0) as usize + 1;
     let reach = |axis: usize| if axis < 3 { DRIFT_DEGREES[axis] } else { DRIFT_METRES };
     let points = (0..knots + 1).map(|_| {

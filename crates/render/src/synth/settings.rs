@@ -8,32 +8,47 @@ use srflow_files::FlowFormat;
 use srflow_read::micro_expression::EmotionClass;
 
 use crate::RenderError;
+use crate::clap::Args;
 
 /// Number of frames at rest before the onset and after the offset.
 pub(super) const FRAMES_AT_REST: usize = 3;
 
-/// Settings. Strengths of the disturbances are factors: 0 is none, 1 is about that of published recordings.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// The settings of a micro-expression dataset. Strengths of the disturbances are factors: 0 is none, 1 is about that of published
+/// recordings.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct SynthSettings {
-    /// Number of subjects.
+    /// Number of subjects
+    #[arg(long, value_name = "N", default_value_t = Self::default().subjects)]
     pub subjects: u32,
-    /// Clips per subject; the classes alternate.
-    pub clips_per_subject: u32,
-    /// Width and height of the frames, in pixels.
+    /// Clips per subject; negative, positive and surprise alternate
+    #[arg(long, value_name = "N", default_value_t = Self::default().clips)]
+    #[serde(rename = "clips_per_subject", alias = "clips")]
+    pub clips: u32,
+    /// Width and height of the frames in pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = Self::default().side)]
     pub side: usize,
-    pub frames_per_second: f32,
-    /// Strength of the expressions; 1 is 12 to 40 % of each action unit's full strength.
+    /// Frames per second
+    #[arg(long, value_name = "RATE", default_value_t = Self::default().fps)]
+    #[serde(rename = "frames_per_second", alias = "fps")]
+    pub fps: f32,
+    /// Strength of the expressions; 1 is 12 to 40 % of an action unit's full strength
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().intensity)]
     pub intensity: f32,
-    /// Sensor noise: 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness.
+    /// Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().noise)]
     pub noise: f32,
-    /// Drift of the head: 1 is up to about a tenth of a degree and 0.15 mm to either side within a clip.
+    /// Head drift; 1 is up to a tenth of a degree and 0.15 mm to either side within a clip
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().drift)]
     pub drift: f32,
-    /// Illumination changes: 1 is up to about 2 % slowly, with a gradient over the face, and 0.3 % of flicker at 100 Hz.
+    /// Illumination changes; 1 is up to 2 % slowly, with a gradient over the face, and 0.3 % of flicker at 100 Hz
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().lighting)]
     pub lighting: f32,
-    /// Random seed.
+    /// Random seed
+    #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
     pub seed: u64,
-    /// File format of the true flow.
-    #[serde(with = "crate::record::format_name")]
+    /// File format of the true flow
+    #[arg(long, value_name = "FORMAT", default_value_t = Self::default().flow_format)]
     pub flow_format: FlowFormat,
 }
 
@@ -41,9 +56,9 @@ impl Default for SynthSettings {
     fn default() -> Self {
         Self {
             subjects: 12,
-            clips_per_subject: 6,
+            clips: 6,
             side: 256,
-            frames_per_second: 200.0,
+            fps: 200.0,
             intensity: 1.0,
             noise: 1.0,
             drift: 1.0,
@@ -91,41 +106,45 @@ impl ClipPlan {
 impl SynthSettings {
     /// Checks the settings and lists the clips, by subject.
     pub(super) fn plan(&self) -> Result<Vec<ClipPlan>, RenderError> {
-        let wrong = |argument, found: String, expected: &str| {
-            Err(RenderError::Argument { argument, found, expected: expected.to_owned() })
+        let wrong = |field, found: String, expected: &str| {
+            Err(RenderError::Setting(srflow_core::SettingError {
+                field,
+                found,
+                expected: expected.to_owned(),
+            }))
         };
         if !(1..=1000).contains(&self.subjects) {
-            return wrong("--subjects", self.subjects.to_string(), "1 to 1000");
+            return wrong("subjects", self.subjects.to_string(), "1 to 1000");
         }
-        if !(1..=1000).contains(&self.clips_per_subject) {
-            return wrong("--clips", self.clips_per_subject.to_string(), "1 to 1000");
+        if !(1..=1000).contains(&self.clips) {
+            return wrong("clips", self.clips.to_string(), "1 to 1000");
         }
         if !(64..=4096).contains(&self.side) {
-            return wrong("--side", self.side.to_string(), "64 to 4096 pixels");
+            return wrong("side", self.side.to_string(), "64 to 4096 pixels");
         }
-        if !(10.0..=2000.0).contains(&self.frames_per_second) {
-            return wrong("--fps", self.frames_per_second.to_string(), "10 to 2000 frames per second");
+        if !(10.0..=2000.0).contains(&self.fps) {
+            return wrong("fps", self.fps.to_string(), "10 to 2000 frames per second");
         }
-        for (argument, value, most, expected) in [
-            ("--intensity", self.intensity, 2.5, "above 0 to 2.5"),
-            ("--noise", self.noise, 50.0, "0 to 50"),
-            ("--drift", self.drift, 20.0, "0 to 20"),
-            ("--lighting", self.lighting, 20.0, "0 to 20"),
+        for (field, value, most, expected) in [
+            ("intensity", self.intensity, 2.5, "above 0 to 2.5"),
+            ("noise", self.noise, 50.0, "0 to 50"),
+            ("drift", self.drift, 20.0, "0 to 20"),
+            ("lighting", self.lighting, 20.0, "0 to 20"),
         ] {
-            let least_fits = if argument == "--intensity" { value > 0.0 } else { value >= 0.0 };
+            let least_fits = if field == "intensity" { value > 0.0 } else { value >= 0.0 };
             if !(least_fits && value <= most) {
-                return wrong(argument, value.to_string(), expected);
+                return wrong(field, value.to_string(), expected);
             }
         }
         let clip = |number: u32| {
-            let (subject, within) = (number / self.clips_per_subject, number % self.clips_per_subject);
+            let (subject, within) = (number / self.clips, number % self.clips);
             // Each subject starts with another class, which balances odd numbers of clips over the subjects.
             let class = EmotionClass::ALL[((within + subject) % 3) as usize];
             let subject_name = format!("s{:02}", subject + 1);
             let name = format!("{subject_name}/c{:02}", within + 1);
             ClipPlan { number, subject, class, subject_name, name }
         };
-        Ok((0..self.subjects * self.clips_per_subject).map(clip).collect())
+        Ok((0..self.subjects * self.clips).map(clip).collect())
     }
 
     /// Seed of a subject's head.
@@ -165,14 +184,14 @@ mod tests {
     fn settings_out_of_range_are_named() {
         let default = SynthSettings::default;
         for (settings, argument) in [
-            (SynthSettings { subjects: 0, ..default() }, "--subjects"),
-            (SynthSettings { clips_per_subject: 1001, ..default() }, "--clips"),
-            (SynthSettings { side: 20, ..default() }, "--side"),
-            (SynthSettings { frames_per_second: f32::NAN, ..default() }, "--fps"),
-            (SynthSettings { intensity: 0.0, ..default() }, "--intensity"),
-            (SynthSettings { noise: -1.0, ..default() }, "--noise"),
-            (SynthSettings { drift: f32::INFINITY, ..default() }, "--drift"),
-            (SynthSettings { lighting: f32::NAN, ..default() }, "--lighting"),
+            (SynthSettings { subjects: 0, ..default() }, "subjects"),
+            (SynthSettings { clips: 1001, ..default() }, "clips"),
+            (SynthSettings { side: 20, ..default() }, "side"),
+            (SynthSettings { fps: f32::NAN, ..default() }, "fps"),
+            (SynthSettings { intensity: 0.0, ..default() }, "intensity"),
+            (SynthSettings { noise: -1.0, ..default() }, "noise"),
+            (SynthSettings { drift: f32::INFINITY, ..default() }, "drift"),
+            (SynthSettings { lighting: f32::NAN, ..default() }, "lighting"),
         ] {
             let error = settings.plan().unwrap_err().to_string();
             assert!(error.starts_with(argument), "{error}");

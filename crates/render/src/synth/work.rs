@@ -54,7 +54,7 @@ impl Clips {
     }
 
     fn clip(&self, subject: u32, within: u32) -> &ClipPlan {
-        &self.clips[(subject * self.settings().clips_per_subject + within) as usize]
+        &self.clips[(subject * self.settings().clips + within) as usize]
     }
 }
 
@@ -63,7 +63,7 @@ impl Layout for Clips {
     const UNITS: &'static str = "clips";
 
     fn groups(&self) -> Vec<u32> {
-        vec![self.settings().clips_per_subject; self.settings().subjects as usize]
+        vec![self.settings().clips; self.settings().subjects as usize]
     }
 
     /// The frames are those that exist: they are written before the record, which knows how many they are.
@@ -80,7 +80,7 @@ impl Layout for Clips {
     }
 
     fn begun_in(&self, dir: &Path) -> Vec<(u32, u32)> {
-        let per_subject = self.settings().clips_per_subject;
+        let per_subject = self.settings().clips;
         let numbers: BTreeMap<&str, u32> =
             self.clips.iter().map(|clip| (clip.name.as_str(), clip.number)).collect();
         let mut begun = Vec::new();
@@ -203,7 +203,7 @@ impl Renderer {
             self.rasterizer
                 .render(&self.gaussians, &clip.camera, None, &options, &mut self.frame)
                 .map_err(refused)?;
-            let seconds = number as f32 / settings.frames_per_second;
+            let seconds = number as f32 / settings.fps;
             clip.light.record(&mut self.frame.image, seconds, settings.noise, clip.key.frame(number as u32));
             let path = folder.join(format!("{number:04}.png"));
             work.write(Stage::Frames, &path, |path| write_image_png(path, &self.frame.image))?;

@@ -11,7 +11,7 @@ use crate::Context;
 use crate::commands::convert::{parse_up, report_gaussians};
 use crate::output::ensure_free;
 use crate::posed_head::{HeadArgs, MovingHead};
-use crate::usage::wrong_usage;
+use srflow::wrong_settings;
 
 /// Most timesteps of an animation: viewers hold one texture layer per morph target, of which WebGL 2 promises 256.
 const MOST_TIMESTEPS: usize = 256;
@@ -57,7 +57,7 @@ pub struct Export {
 
 pub fn run(args: Export, context: &Context) -> anyhow::Result<()> {
     let Some(format) = SplatFormat::of(&args.output) else {
-        wrong_usage!(
+        wrong_settings!(
             "{}: expected a file ending in {} (`srflow avatar mesh` writes a mesh alone, as .obj too)",
             args.output.display(),
             SplatFormat::extensions()
@@ -65,15 +65,15 @@ pub fn run(args: Export, context: &Context) -> anyhow::Result<()> {
     };
     let is_scene = format.extension == "glb";
     if !is_scene && (args.animate.is_some() || args.camera.is_some()) {
-        wrong_usage!("{}: only a .glb holds a motion and cameras", args.output.display());
+        wrong_settings!("{}: only a .glb holds a motion and cameras", args.output.display());
     }
     if args.animate.is_some_and(|timesteps| !(2..=MOST_TIMESTEPS).contains(&timesteps)) {
-        wrong_usage!("--animate: expected 2 to {MOST_TIMESTEPS} timesteps");
+        wrong_settings!("--animate: expected 2 to {MOST_TIMESTEPS} timesteps");
     }
     ensure_free([&args.output], args.force)?;
     let size = args.size.map(|size| (size.width, size.height));
     let cameras = args.camera.as_deref().map(|file| read_cameras(file, size)).transpose()?;
-    let Some(head) = args.head.open()? else { wrong_usage!("give a head: --head HEAD") };
+    let Some(head) = args.head.open()? else { wrong_settings!("give a head: --head HEAD") };
     let mut posed = PosedHead::default();
     let mut gaussians = Gaussians::default();
     head.avatar.gaussians_into(&args.head.pose(&head)?, &mut posed, &mut gaussians);
@@ -116,7 +116,7 @@ fn motion(args: &Export, head: &MovingHead, timesteps: usize) -> anyhow::Result<
     let poses = head.poses();
     let Some(poses) = poses.get(first..first.saturating_add(timesteps)) else {
         let left = poses.len().saturating_sub(first);
-        wrong_usage!("--animate {timesteps}: the motion has {left} timesteps from {first} on");
+        wrong_settings!("--animate {timesteps}: the motion has {left} timesteps from {first} on");
     };
     let vertices = |pose: &HeadPose| {
         let mut vertices = Vec::new();

@@ -15,10 +15,10 @@ use srflow_render::mesh_error::{MeshError, mesh_error};
 use super::paths::from_to;
 use super::scores::mesh_table;
 use crate::Context;
-use crate::commands::render::head_help;
 use crate::output::{ensure_folder, ensure_free, print_json, print_tables};
 use crate::progress::bar;
-use crate::usage::wrong_usage;
+use srflow::render::head_help;
+use srflow::wrong_settings;
 
 /// Fit a head model to the landmarks of a capture
 ///
@@ -114,12 +114,12 @@ const FIT_NAME: &str = "fit.json";
 pub fn run(args: Fit, context: &Context) -> anyhow::Result<()> {
     ensure_folder(&args.out)?;
     if args.noise.is_some_and(|noise| !(noise > 0.0 && noise.is_finite())) {
-        wrong_usage!("--noise: expected a number of pixels above 0");
+        wrong_settings!("--noise: expected a number of pixels above 0");
     }
     ensure_free([args.out.join("transforms.json")], args.force)?;
     let capture = Capture::read(&args.data)?;
     if same_folder(&args.out, &args.data) {
-        wrong_usage!(
+        wrong_settings!(
             "--out: expected another folder than that of the capture, whose parameters would be overwritten"
         );
     }
@@ -133,7 +133,7 @@ pub fn run(args: Fit, context: &Context) -> anyhow::Result<()> {
         .filter(|view| args.cameras.is_empty() || args.cameras.contains(&view.camera_index))
         .collect();
     if let Some(unknown) = args.cameras.iter().find(|camera| !capture.camera_indices().contains(camera)) {
-        wrong_usage!("--cameras {unknown}: the capture has the cameras {:?}", capture.camera_indices());
+        wrong_settings!("--cameras {unknown}: the capture has the cameras {:?}", capture.camera_indices());
     }
     let faces: Vec<LandmarkView> = used
         .iter()
@@ -204,7 +204,7 @@ fn landmarks(args: &Fit, capture: &Capture) -> anyhow::Result<Landmarks> {
     let mut landmarks = Landmarks::default();
     for TableOf { camera, file } in &args.landmarks_of {
         let Some(view) = capture.views().iter().find(|view| view.camera_index == *camera) else {
-            wrong_usage!(
+            wrong_settings!(
                 "--landmarks-of {camera}=: the capture has the cameras {:?}",
                 capture.camera_indices()
             );

@@ -12,7 +12,7 @@ use srflow_files::create_folder;
 use super::paths::from_to;
 use crate::Context;
 use crate::output::{ensure_folder, ensure_free, print_json};
-use crate::usage::wrong_usage;
+use srflow::wrong_settings;
 
 /// Make a capture from pictures in folders and a file of their cameras
 ///
@@ -53,7 +53,7 @@ pub fn run(args: Import, context: &Context) -> anyhow::Result<()> {
     ensure_folder(&args.out)?;
     let unit = args.metres_per_unit;
     if !(unit > 0.0 && unit.is_finite()) {
-        wrong_usage!("--metres-per-unit: expected a number above 0");
+        wrong_settings!("--metres-per-unit: expected a number above 0");
     }
     ensure_free([args.out.join("transforms.json")], args.force)?;
     let request = ImportRequest {

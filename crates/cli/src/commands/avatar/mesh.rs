@@ -6,10 +6,10 @@ use serde_json::json;
 use srflow_avatar::{HeadParameters, HeadPose, HeadSource, MeshFormat, write_mesh};
 
 use crate::Context;
-use crate::commands::render::head_help;
 use crate::output::{ensure_free, print_json_line};
 use crate::posed_head::ActionUnits;
-use crate::usage::wrong_usage;
+use srflow::render::head_help;
+use srflow::wrong_settings;
 
 /// Write the mesh of a head model in some shape and pose
 ///
@@ -51,7 +51,7 @@ pub struct Mesh {
 pub fn run(args: Mesh, context: &Context) -> anyhow::Result<()> {
     if MeshFormat::of(&args.output).is_none() {
         let known = MeshFormat::ALL.map(|format| format!(".{}", format.extension())).join(", ");
-        wrong_usage!("{}: expected a file ending in {known}", args.output.display());
+        wrong_settings!("{}: expected a file ending in {known}", args.output.display());
     }
     ensure_free([&args.output], args.force)?;
     let model = args.model.model(args.seed).with_context(|| format!("reading {}", args.model))?;
@@ -63,7 +63,7 @@ pub fn run(args: Mesh, context: &Context) -> anyhow::Result<()> {
             parameters.check(&model).with_context(|| path.display().to_string())?;
             let Some(pose) = parameters.poses.get(args.timestep) else {
                 let last = parameters.poses.len() - 1;
-                wrong_usage!("--timestep {}: {} has timesteps 0 to {last}", args.timestep, path.display());
+                wrong_settings!("--timestep {}: {} has timesteps 0 to {last}", args.timestep, path.display());
             };
             let shaped = model.shaped_with_offset(&parameters.shape, &parameters.static_offset);
             (shaped, pose.pose(&model))

@@ -1,6 +1,5 @@
 //! `srflow avatar`: head models and avatars, one file per subcommand.
 
-mod capture;
 mod eval;
 mod export;
 mod fit;
@@ -24,7 +23,7 @@ pub struct Avatar {
 
 #[derive(Subcommand)]
 enum AvatarCommand {
-    Capture(capture::Capture),
+    Capture(srflow::avatar::capture::CaptureJob),
     Eval(eval::Eval),
     Export(export::Export),
     Fit(fit::Fit),
@@ -36,7 +35,7 @@ enum AvatarCommand {
 
 pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
     match args.command {
-        AvatarCommand::Capture(args) => capture::run(args, context),
+        AvatarCommand::Capture(args) => crate::run::run(&args, context),
         AvatarCommand::Eval(args) => eval::run(args, context),
         AvatarCommand::Export(args) => export::run(args, context),
         AvatarCommand::Fit(args) => fit::run(args, context),

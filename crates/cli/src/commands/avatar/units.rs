@@ -7,8 +7,8 @@ use srflow_avatar::{HeadSource, Side, UnitQuality, unit_qualities, write_units};
 use srflow_eval::{Column, Row, Table};
 
 use crate::Context;
-use crate::commands::render::head_help;
 use crate::output::{ensure_extension, ensure_free, print_json, print_tables};
+use srflow::render::head_help;
 
 /// Show how well a head model does each action unit, and write its table of units
 ///

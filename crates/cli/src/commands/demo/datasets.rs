@@ -75,17 +75,17 @@ impl Plan {
             head: head.clone(),
             scenes: HEADS,
             frames: f64::from(self.frames),
-            width: self.size.width,
-            height: self.size.height,
-            splits: [0.0, 0.0, 1.0],
+            size: self.size,
+            splits: srflow_core::Numbers([0.0, 0.0, 1.0]),
             seed,
             background: Background::Colour(BACKGROUND),
             ..Settings::default()
         };
         let dir = out.join(self.folder);
         let rendering = RenderingArgs { force, ..RenderingArgs::default() };
-        let made =
-            rendering.make(&dir, "pairs", |request| generate::generate_with(&settings, request, avatars))?;
+        let made = rendering.make(&dir, "pairs", &crate::run::WATCH, |request| {
+            generate::generate_with(&settings, request, avatars)
+        })?;
         let report = made.report;
         let spec = DatasetSpec { kind: "srflow".to_owned(), dir: dir.clone() };
         Ok(Rendered { dir, report, dataset: FlowDataset::open(&spec, Some(Split::All))? })

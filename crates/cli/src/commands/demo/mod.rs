@@ -19,13 +19,13 @@ use srflow_files::write_file;
 use srflow_read::flow::{DatasetSpec, FlowDataset};
 use srflow_render::generate::FULL_SIZE;
 
-use crate::commands::render::head_help;
 use crate::commands::view::avatar_page;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::output::ensure_free;
 use crate::posed_head::MovingHead;
 use crate::scoring;
 use crate::{Context, machine};
+use srflow::render::head_help;
 use stage::Stages;
 
 /// Render a small dataset, estimate its flow, score it and show everything in one report
@@ -76,7 +76,7 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
     let photographs = photographs(&args)?;
     let shown = [&[Method::DEFAULT][..], &Method::CLASSICAL].concat();
     let shown: Vec<MethodSpec> = shown.into_iter().map(MethodSpec::from).collect();
-    let estimators = methods::estimators(&shown, &MethodParameters::default())?;
+    let estimators = methods::estimators(&shown, &MethodParameters::default(), &crate::run::WATCH)?;
 
     let (stills_plan, clips_plan) = (datasets::stills(args.size), datasets::clips(args.size));
     // Both datasets and the action units show the same heads.
@@ -161,12 +161,13 @@ fn score(
     let methods: Vec<_> =
         estimators.iter().map(|estimator| srflow_eval::Method::Estimator(estimator.as_ref())).collect();
     let mut figures = Vec::new();
-    let evaluation = scoring::score(dataset, &methods, settings, pairs.min(3), &mut |pair, shown| {
-        if shown {
-            figures.extend(pair_figures(pair, 380, "")?);
-        }
-        Ok(())
-    })?;
+    let evaluation =
+        scoring::score(dataset, &methods, settings, pairs.min(3), &crate::run::WATCH, &mut |pair, shown| {
+            if shown {
+                figures.extend(pair_figures(pair, 380, "")?);
+            }
+            Ok(())
+        })?;
     Ok((evaluation, figures))
 }
 

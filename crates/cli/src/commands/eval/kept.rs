@@ -12,7 +12,7 @@ use srflow_read::flow::{Entry, EntryFile, FlowDataset};
 
 use super::Eval;
 use crate::methods::{self, MethodSpec};
-use crate::usage::wrong_usage;
+use srflow::wrong_settings;
 
 /// Scores that `--out` keeps until all pairs are scored.
 pub struct Kept {
@@ -48,7 +48,7 @@ impl Kept {
         };
         match (cannot, &args.out) {
             (None, Some(out)) => {
-                let records: Vec<String> = methods::records(specs, &args.parameters)?
+                let records: Vec<String> = methods::records(specs, &args.parameters, &crate::run::WATCH)?
                     .iter()
                     .map(|record| format!("{}: {}", record.name, record.identity()))
                     .collect();
@@ -67,7 +67,7 @@ impl Kept {
                 kept.read()?;
                 Ok(Some(kept))
             }
-            (Some(cannot), _) if shard != Shard::WHOLE => wrong_usage!("--shard needs {cannot}"),
+            (Some(cannot), _) if shard != Shard::WHOLE => wrong_settings!("--shard needs {cannot}"),
             _ => Ok(None),
         }
     }

@@ -28,8 +28,8 @@ use crate::output::{ensure_folder, ensure_free, latex, print_tables};
 use crate::progress::bar;
 use crate::rendering::{Rendered, ShardArgs};
 use crate::scoring::{self, folder_name, save_flows};
-use crate::usage::wrong_usage;
 use crate::{Context, in_words, machine};
+use srflow::wrong_settings;
 
 fn kinds_help() -> String {
     let lines: Vec<String> = KINDS.iter().map(|kind| format!("  {kind}\n      {}", kind.about)).collect();
@@ -140,10 +140,10 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         ensure_folder(out)?;
         ensure_free(OUTPUTS.map(|name| out.join(name)), args.force)?;
     }
-    let dataset = open_dataset(&args.dataset, args.split)?;
+    let dataset = open_dataset(&args.dataset, args.split, &crate::run::WATCH)?;
     let limit = args.limit.map(|limit| limit as usize);
-    let Rows { methods: specs, left_out, improvements } = args.rows.with(&args.method)?;
-    let sources = methods::sources(&specs, &args.parameters, &dataset, limit)?;
+    let Rows { methods: specs, left_out, improvements } = args.rows.with(&args.method, &crate::run::WATCH)?;
+    let sources = methods::sources(&specs, &args.parameters, &dataset, limit, &crate::run::WATCH)?;
     let scored: Vec<Method> = sources.iter().map(Source::method).collect();
     if let Some(dir) = &args.save_flow {
         ensure_folder(dir)?;
@@ -157,7 +157,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         let names = scored_pairs(&dataset, limit);
         if let Some(name) = args.figure_pairs.iter().find(|name| !names.contains(name)) {
             let some = names.iter().take(3).cloned().collect::<Vec<_>>().join(", ");
-            wrong_usage!(
+            wrong_settings!(
                 "--figure-pairs: expected the name of a pair that is scored, such as {some}; found {name}"
             );
         }
@@ -188,29 +188,30 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     let scores = kept.as_ref().map(|kept| kept.scores_without(&pictured(&args, &dataset)));
     let settings = Settings { kept: scores.as_ref(), ..settings };
     let continuable = kept.as_ref().map(|_| Continuable::keeping("the scores so far are kept"));
-    let evaluation = scoring::score(&dataset, &scored, settings, SHOWN_PAIRS, &mut |pair, shown| {
-        if let (Some(kept), Some(log)) = (&kept, &mut log) {
-            log.append(&kept.of(pair))?;
-        }
-        if let Some(dir) = &args.save_flow {
-            save_flows(pair, dir)?;
-        }
-        if shown && args.out.is_some() {
-            figures.extend(pair_figures(pair, 560, "")?);
-        }
-        let in_figure = match args.figure_pairs.as_slice() {
-            [] => shown,
-            names => names.iter().any(|name| name == pair.name),
-        };
-        if args.figure.is_some() && in_figure {
-            shown_pairs.push(pair_of(pair));
-        }
-        Ok(())
-    })?;
+    let evaluation =
+        scoring::score(&dataset, &scored, settings, SHOWN_PAIRS, &crate::run::WATCH, &mut |pair, shown| {
+            if let (Some(kept), Some(log)) = (&kept, &mut log) {
+                log.append(&kept.of(pair))?;
+            }
+            if let Some(dir) = &args.save_flow {
+                save_flows(pair, dir)?;
+            }
+            if shown && args.out.is_some() {
+                figures.extend(pair_figures(pair, 560, "")?);
+            }
+            let in_figure = match args.figure_pairs.as_slice() {
+                [] => shown,
+                names => names.iter().any(|name| name == pair.name),
+            };
+            if args.figure.is_some() && in_figure {
+                shown_pairs.push(pair_of(pair));
+            }
+            Ok(())
+        })?;
     if shard.shard != Shard::WHOLE {
         let scored = Rendered { report: ScoredPart { pairs: evaluation.pairs }, shard };
         if context.json {
-            return scored.print_json();
+            return crate::output::print_json(&scored);
         }
         let (part, pairs) = (scored.shard.shard, scored.report.pairs);
         return say!(
@@ -225,7 +226,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         version: env!("CARGO_PKG_VERSION"),
         command: command_line(std::env::args()),
         machine: machine::describe(),
-        made_by: methods::records(&specs, &args.parameters)?,
+        made_by: methods::records(&specs, &args.parameters, &crate::run::WATCH)?,
         evaluation: &evaluation,
     };
 

@@ -8,8 +8,8 @@ use srflow_core::Image;
 use srflow_files::{IMAGE_EXTENSIONS, read_image, read_image_size};
 use srflow_read::flow::pictures;
 
-use crate::usage::wrong_usage;
 use crate::video::{self, VideoReader, is_video};
+use srflow::wrong_settings;
 
 /// Two or more pictures, or a video.
 pub enum Source {
@@ -44,7 +44,7 @@ impl Source {
             [folder] if folder.is_dir() => frames_of(folder)?,
             [file] if is_video(file) => return Ok(Self::Video(file.clone(), video::facts(file))),
             [frame] => {
-                wrong_usage!(
+                wrong_settings!(
                     "{}: one frame has no flow: give two or more, a folder of frames, or a video",
                     frame.display()
                 )
@@ -52,7 +52,7 @@ impl Source {
             frames => frames.to_vec(),
         };
         if let Some(video) = files.iter().find(|file| is_video(file)) {
-            wrong_usage!("{}: a video must be the only input", video.display());
+            wrong_settings!("{}: a video must be the only input", video.display());
         }
         let mut first = None;
         for file in &files {

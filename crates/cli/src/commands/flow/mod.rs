@@ -25,8 +25,8 @@ use crate::large_frames::Resolution;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::progress::bar;
 use crate::rendering::{Rendered, ShardArgs};
-use crate::usage::wrong_usage;
 use crate::video::{VideoWriter, is_video};
+use srflow::wrong_settings;
 
 /// Estimate optical flow between frames
 #[derive(Args)]
@@ -172,13 +172,16 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     let is_sequence = |path: &PathBuf| path.is_dir() || is_video(path);
     if args.frames.len() < 2 || !args.frames.iter().all(is_sequence) {
         if shard.shard != Shard::WHOLE {
-            wrong_usage!("--shard divides several videos or folders of frames: give two or more");
+            wrong_settings!("--shard divides several videos or folders of frames: give two or more");
         }
         let estimated = estimate(&args, context)?;
         return if context.json { crate::output::print_json(&estimated) } else { print(&estimated) };
     }
     if let Some(video) = args.viz.as_deref().filter(|viz| is_video(viz)) {
-        wrong_usage!("{}: several sequences give a folder of pictures each, not one video", video.display());
+        wrong_settings!(
+            "{}: several sequences give a folder of pictures each, not one video",
+            video.display()
+        );
     }
     let sequences = named(std::mem::take(&mut args.frames))?;
     let part = shard.shard.range(sequences.len() as u64);
@@ -197,7 +200,7 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
         all.insert(name.clone(), estimated);
     }
     if context.json {
-        return Rendered { report: Sequences { sequences: all }, shard }.print_json();
+        return crate::output::print_json(&Rendered { report: Sequences { sequences: all }, shard });
     }
     Ok(())
 }
@@ -211,7 +214,7 @@ fn named(paths: Vec<PathBuf>) -> anyhow::Result<Vec<(String, PathBuf)>> {
         let name = name.map(|name| name.to_string_lossy().into_owned());
         match name.filter(|name| names.insert(name.clone())) {
             Some(name) => sequences.push((name, path)),
-            None => wrong_usage!(
+            None => wrong_settings!(
                 "{}: the flow of each video or folder goes into a folder of its name: expected a name of its own",
                 path.display()
             ),
@@ -224,7 +227,7 @@ fn named(paths: Vec<PathBuf>) -> anyhow::Result<Vec<(String, PathBuf)>> {
 fn estimate(args: &Flow, context: &Context) -> anyhow::Result<Estimated> {
     let network = &args.parameters.network;
     if args.warm_start && network.batch > 1 {
-        wrong_usage!(
+        wrong_settings!(
             "--warm-start needs the flow of the previous pair, so --batch must be 1: leave one of them out"
         );
     }
@@ -234,19 +237,21 @@ fn estimate(args: &Flow, context: &Context) -> anyhow::Result<Estimated> {
     for output in ExtraOutput::ALL {
         let is_predicted = method.network().is_some_and(|network| output.is_predicted_by(network));
         if args.extra(output).is_some() && !is_predicted {
-            wrong_usage!("{}", output.missing(method.name()));
+            wrong_settings!("{}", output.missing(method.name()));
         }
     }
-    let estimator = methods::estimator(&args.method, &args.parameters)?;
+    let estimator = methods::estimator(&args.method, &args.parameters, &crate::run::WATCH)?;
     if estimator.remembers() && network.batch > 1 {
-        wrong_usage!("{} waits for the pair before, so that --batch is 1: leave it out", estimator.name());
+        wrong_settings!("{} waits for the pair before, so that --batch is 1: leave it out", estimator.name());
     }
     let found = match args.face.is_whole() {
         true => None,
         false => Some(args.face.of_first_frame(&source.first()?)?),
     };
     if args.save_crops.is_some() && found.is_none() {
-        wrong_usage!("--save-crops writes cropped frames: give --face detect, --face-box or --landmarks too");
+        wrong_settings!(
+            "--save-crops writes cropped frames: give --face detect, --face-box or --landmarks too"
+        );
     }
     let crop = found.as_ref().map_or(FrameCrop::Whole, |found| found.crop.clone());
     let one_by_one = args.warm_start || estimator.remembers();
@@ -340,7 +345,7 @@ fn is_zero(count: &u64) -> bool {
 
 /// Everything the flow depends on: runs with the same identity write the same files.
 fn identity(args: &Flow, crop: &FrameCrop) -> anyhow::Result<String> {
-    let records = methods::records(std::slice::from_ref(&args.method), &args.parameters)?;
+    let records = methods::records(std::slice::from_ref(&args.method), &args.parameters, &crate::run::WATCH)?;
     let method: Vec<String> = records.iter().map(|record| record.identity()).collect();
     let frames: Vec<PathBuf> = args.frames.iter().map(std::path::absolute).collect::<Result<_, _>>()?;
     Ok(format!(

@@ -11,8 +11,8 @@ use super::Flow;
 use super::extra::ExtraOutput;
 use super::frames::Source;
 use crate::output::ensure_free;
-use crate::usage::wrong_usage;
 use crate::video::is_video;
+use srflow::wrong_settings;
 
 /// The flow files to write.
 pub struct Outputs {
@@ -71,20 +71,20 @@ impl Outputs {
         for kind in ExtraOutput::ALL {
             let Some(path) = args.extra(kind) else { continue };
             if args.initial_flow.is_some() {
-                wrong_usage!(
+                wrong_settings!(
                     "--{} does not go together with --initial-flow: leave one of them out",
                     kind.name()
                 );
             }
             let is_npy = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy"));
             if is_file && (!is_npy || path.is_dir()) {
-                wrong_usage!(
+                wrong_settings!(
                     "{}: two frames give one array: expected the name of a file ending in .npy",
                     path.display()
                 );
             }
             if !is_file && !path.is_dir() && (is_npy || path.is_file()) {
-                wrong_usage!("{}: {source} give a folder of .npy files, not one file", path.display());
+                wrong_settings!("{}: {source} give a folder of .npy files, not one file", path.display());
             }
             extra.push((kind, path.to_owned()));
         }
@@ -93,7 +93,7 @@ impl Outputs {
         let mut names = HashSet::new();
         if let Some(twice) = files.all().find(|file| !names.insert(*file)) {
             let place = if is_file { twice } else { twice.parent().unwrap_or(twice) };
-            wrong_usage!("{}: two outputs would overwrite each other here; rename one", place.display());
+            wrong_settings!("{}: two outputs would overwrite each other here; rename one", place.display());
         }
         Ok(outputs)
     }
@@ -101,12 +101,15 @@ impl Outputs {
     fn file(args: &Flow) -> anyhow::Result<(Flows, Option<Viz>)> {
         if FlowFormat::from_path(&args.out).is_none() {
             let names = FlowFormat::ALL.map(FlowFormat::extension).join(", ");
-            wrong_usage!("{}: unknown flow format; the extension must be one of {names}", args.out.display());
+            wrong_settings!(
+                "{}: unknown flow format; the extension must be one of {names}",
+                args.out.display()
+            );
         }
         if let Some(viz) = &args.viz {
             let is_png = viz.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
             if !is_png || viz.is_dir() {
-                wrong_usage!(
+                wrong_settings!(
                     "{}: two frames give one picture: expected the name of a file ending in .png",
                     viz.display()
                 );
@@ -117,7 +120,7 @@ impl Outputs {
 
     fn folder(args: &Flow, source: &Source) -> anyhow::Result<(Flows, Option<Viz>)> {
         if args.initial_flow.is_some() {
-            wrong_usage!("--initial-flow is for two frames and a file, not for a sequence");
+            wrong_settings!("--initial-flow is for two frames and a file, not for a sequence");
         }
         let viz = args.viz.clone().map(|viz| if is_video(&viz) { Viz::Video(viz) } else { Viz::Folder(viz) });
         let pictures = match &viz {
@@ -127,7 +130,7 @@ impl Outputs {
         for folder in [Some(&args.out), pictures].into_iter().flatten() {
             let like_file = folder.is_file() || FlowFormat::from_path(folder).is_some();
             if like_file && !folder.is_dir() {
-                wrong_usage!("{}: {source} give a folder of flow files, not one file", folder.display());
+                wrong_settings!("{}: {source} give a folder of flow files, not one file", folder.display());
             }
         }
         if let Source::Files(files) = source {

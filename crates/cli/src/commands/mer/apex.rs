@@ -77,11 +77,11 @@ struct SpottedClip {
 pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
     args.out.as_ref().map_or(Ok(()), |path| ensure_extension(path, "csv"))?;
     ensure_free(&args.out, args.force)?;
-    let estimator = methods::estimator(&args.method, &args.parameters)?;
+    let estimator = methods::estimator(&args.method, &args.parameters, &crate::run::WATCH)?;
     let datasets = args.sources.open(args.datasets)?;
     let clips: Vec<&Clip> = datasets.iter().flat_map(|dataset| &dataset.clips).collect();
     let landmarks = || args.out.as_deref().unwrap_or("apexes".as_ref()).with_extension("landmarks.csv");
-    let face = args.face.of_clips(clips.iter().copied(), landmarks, args.force)?;
+    let face = args.face.of_clips(clips.iter().copied(), landmarks, args.force, &crate::run::WATCH)?;
     let bar = bar(clips.len() as u64, "{bar:30} {pos}/{len} clips, {eta} left");
     let spotted = spot_apexes(&clips, args.rule, &face, estimator.as_ref(), &|| bar.inc(1));
     bar.finish_and_clear();

@@ -65,8 +65,8 @@ pub fn run(args: Features, context: &Context) -> anyhow::Result<()> {
     ensure_extension(&args.out, "npz")?;
     ensure_free([&args.out], args.force)?;
     let classes = args.sources.classes()?;
-    let estimators = methods::estimators(&args.method, &args.parameters)?;
-    let records = methods::records(&args.method, &args.parameters)?;
+    let estimators = methods::estimators(&args.method, &args.parameters, &crate::run::WATCH)?;
+    let records = methods::records(&args.method, &args.parameters, &crate::run::WATCH)?;
     let of_run = estimators.iter().zip(records.clone());
     let of_run: Vec<RunMethod> =
         of_run.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record }).collect();

@@ -8,7 +8,6 @@ mod progress;
 mod run;
 mod sources;
 mod strain;
-mod synth;
 mod tables;
 
 use clap::{Args, Subcommand};
@@ -25,7 +24,7 @@ pub struct Mer {
 #[derive(Subcommand)]
 enum MerCommand {
     Data(data::Data),
-    Synth(synth::Synth),
+    Synth(srflow::mer::synth::SynthJob),
     Apex(apex::Apex),
     Strain(strain::Strain),
     Features(features::Features),
@@ -36,7 +35,7 @@ enum MerCommand {
 pub fn run(args: Mer, context: &Context) -> anyhow::Result<()> {
     match args.command {
         MerCommand::Data(args) => data::run(args, context),
-        MerCommand::Synth(args) => synth::run(args, context),
+        MerCommand::Synth(args) => crate::run::run(&args, context),
         MerCommand::Apex(args) => apex::run(args, context),
         MerCommand::Strain(args) => strain::run(args, context),
         MerCommand::Features(args) => features::run(args, context),

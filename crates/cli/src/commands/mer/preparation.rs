@@ -35,7 +35,12 @@ impl PreparationArgs {
         file: impl FnOnce() -> PathBuf,
         force: bool,
     ) -> anyhow::Result<Preparation> {
-        let face = self.face.of_clips(datasets.iter().flat_map(|dataset| &dataset.clips), file, force)?;
+        let face = self.face.of_clips(
+            datasets.iter().flat_map(|dataset| &dataset.clips),
+            file,
+            force,
+            &crate::run::WATCH,
+        )?;
         Ok(Preparation { face, resize: self.resize, strain: self.strain })
     }
 }

@@ -130,7 +130,7 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
         ..Protocol::default()
     };
     protocol.check()?;
-    let Rows { methods: specs, left_out, .. } = args.rows.with(&args.method)?;
+    let Rows { methods: specs, left_out, .. } = args.rows.with(&args.method, &crate::run::WATCH)?;
     let mut settings = RunSettings {
         classifier: args.classifier,
         sets: args.sets,
@@ -140,8 +140,8 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
         classes: args.sources.classes()?.names().clone(),
         left_out,
     };
-    let estimators = methods::estimators(&specs, &args.parameters)?;
-    let records = methods::records(&specs, &args.parameters)?;
+    let estimators = methods::estimators(&specs, &args.parameters, &crate::run::WATCH)?;
+    let records = methods::records(&specs, &args.parameters, &crate::run::WATCH)?;
     let methods = estimators.iter().zip(records);
     let methods = methods.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record });
     let datasets = args.sources.open(args.data.clone())?;
@@ -163,7 +163,7 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
         progress.finish();
         let trained = Rendered { report: trained, shard };
         if context.json {
-            return trained.print_json();
+            return crate::output::print_json(&trained);
         }
         let TrainedPart { folds, all_folds } = trained.report;
         return say!(

@@ -74,7 +74,7 @@ struct Strained {
 }
 
 pub fn run(args: Strain, context: &Context) -> anyhow::Result<()> {
-    let estimator = methods::estimator(&args.method, &args.parameters)?;
+    let estimator = methods::estimator(&args.method, &args.parameters, &crate::run::WATCH)?;
     let outputs = [Some(&args.out), args.features.as_ref(), args.viz.as_ref()];
     for (path, extension) in outputs.into_iter().zip(["npy", "npy", "png"]) {
         path.map_or(Ok(()), |path| ensure_extension(path, extension))?;

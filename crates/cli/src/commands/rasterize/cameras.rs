@@ -7,7 +7,7 @@ use clap::Args;
 use srflow_core::{Size, excerpt, excerpts};
 use srflow_splat::{Camera, Gaussians, NamedCamera, Surroundings, Up, read_cameras};
 
-use crate::usage::wrong_usage;
+use srflow::wrong_settings;
 
 /// Size of the default camera, in pixels.
 const SIZE: Size = Size { width: 800, height: 800 };
@@ -83,7 +83,7 @@ impl CameraArgs {
             (Some(file), _) => self.chosen(file, view, "--view-next").map(Some),
             (None, Some(file)) if view.is_some() => self.chosen(file, view, "--view-next").map(Some),
             (None, None) if view.is_some() => {
-                wrong_usage!("--view-next selects a camera of --camera-next or --camera: give one of them")
+                wrong_settings!("--view-next selects a camera of --camera-next or --camera: give one of them")
             }
             (None, _) => Ok(None),
         }
@@ -148,7 +148,7 @@ impl CameraArgs {
                 Some(view) => format!("no camera has the name `{view}`"),
                 None => "choose one".to_owned(),
             };
-            wrong_usage!(
+            wrong_settings!(
                 "{} holds {} cameras: {what}; give {option} a name or a number from 0 to {}; the first names are {}",
                 file.display(),
                 cameras.len(),
@@ -170,7 +170,7 @@ impl CameraArgs {
         let Some(Size { width, height }) = self.size else { return Ok(*camera) };
         let proportions = (width * camera.height) as f64 / (height * camera.width) as f64;
         if (proportions - 1.0).abs() > 0.01 {
-            wrong_usage!(
+            wrong_settings!(
                 "--size {width}x{height} would stretch the picture of `{}`, which is {}x{}: give the same proportions",
                 excerpt(name),
                 camera.width,

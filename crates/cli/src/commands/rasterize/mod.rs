@@ -20,8 +20,8 @@ use self::cameras::{CameraArgs, Orbit};
 use self::head::TwoPoses;
 use crate::Context;
 use crate::output::{ensure_folder, ensure_free};
-use crate::usage::wrong_usage;
 use crate::video::is_video;
+use srflow::wrong_settings;
 
 /// Rasterize a file of 3D Gaussians or a head: colour, flow, alpha and depth
 ///
@@ -128,7 +128,7 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
     let video = is_video(&args.out);
     let moves = args.orbit.is_some() || args.path.is_some();
     if video && !moves {
-        wrong_usage!("{}: a video needs a moving camera: give --orbit or --path", args.out.display());
+        wrong_settings!("{}: a video needs a moving camera: give --orbit or --path", args.out.display());
     }
     if !video {
         ensure_folder(&args.out)?;
@@ -206,7 +206,7 @@ impl Scene {
             gaussians.antialiased |= args.antialiased;
             return Ok(Self { gaussians, moved, up: Up::PlusY });
         }
-        let Some(path) = &args.gaussians else { wrong_usage!("give a file of Gaussians, or --head") };
+        let Some(path) = &args.gaussians else { wrong_settings!("give a file of Gaussians, or --head") };
         if args.next.is_some() {
             for file in args.gaussians.iter().chain(&args.next) {
                 ensure_ordered(file)?;
@@ -234,7 +234,7 @@ impl Scene {
 fn ensure_ordered(file: &Path) -> anyhow::Result<()> {
     match SplatFormat::of(file).filter(|format| !format.keeps_order) {
         None => Ok(()),
-        Some(format) => wrong_usage!(
+        Some(format) => wrong_settings!(
             "{}: the Gaussians of a .{} file are sorted by their size, so there is no flow between two of them: give another format, such as .ply",
             file.display(),
             format.extension

@@ -21,8 +21,8 @@ use super::scores::{camera_table, mesh_table, split_table, split_words};
 use crate::Context;
 use crate::output::{ensure_folder, ensure_free, print_json, print_tables};
 use crate::progress::bar;
-use crate::usage::wrong_usage;
 use panels::{FlowPanels, Panels, PicturePanels};
+use srflow::wrong_settings;
 
 /// Score a trained avatar on its capture: its pictures, and how exact its flow is
 ///
@@ -237,7 +237,7 @@ fn picture_scores(
     }
     progress.finish_and_clear();
     if splits.is_empty() {
-        wrong_usage!(
+        wrong_settings!(
             "--split {}: the capture has no such pictures, but {} for training",
             args.split.iter().map(ToString::to_string).collect::<Vec<_>>().join(","),
             capture.of(CaptureSplit::Train).count()
@@ -263,7 +263,7 @@ fn pair_sets(args: &Eval, capture: &Capture) -> anyhow::Result<Vec<PairSet>> {
         }
     }
     if sets.is_empty() {
-        wrong_usage!(
+        wrong_settings!(
             "--step {:?}: one camera has no two pictures of a split so many timesteps apart; the capture has {} timesteps",
             args.step,
             capture.timesteps().len()

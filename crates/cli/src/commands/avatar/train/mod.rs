@@ -17,12 +17,12 @@ use srflow_avatar::{HeadModel, HeadSource};
 use srflow_files::{Preset, SettingsError, read_settings, settings_text, with_setting, write_file};
 
 use super::scores::{split_table, split_words};
-use crate::commands::render::head_help;
 use crate::interrupt::{self, Continuable};
 use crate::output::{ensure_folder, exit_stopped, print_json, print_tables};
 use crate::progress::TrainingProgress;
-use crate::usage::wrong_usage;
 use crate::{Context, machine};
+use srflow::render::head_help;
+use srflow::wrong_settings;
 
 /// Train an avatar of 3D Gaussians on a capture
 ///
@@ -124,7 +124,7 @@ impl Overrides {
 pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     let minutes = args.checkpoint_every;
     let Ok(checkpoint_interval) = Duration::try_from_secs_f64(60.0 * minutes) else {
-        wrong_usage!("--checkpoint-every {minutes}: expected a number of minutes from 0");
+        wrong_settings!("--checkpoint-every {minutes}: expected a number of minutes from 0");
     };
     if args.print_config {
         let config = config(&args)?;
@@ -196,7 +196,7 @@ fn model(args: &Train, capture: &Path, named: Option<HeadRecord>) -> anyhow::Res
         (None, Some(record)) => record.head.parse().map_err(|reason| {
             anyhow!("{}: {reason}; give the head model with --model", capture.join(HEAD_NAME).display())
         })?,
-        (None, None) => wrong_usage!(
+        (None, None) => wrong_settings!(
             "{}: no {HEAD_NAME} names the head model of this capture; give it with --model, e.g. --model flame:flame2023.pkl",
             capture.display()
         ),
@@ -206,7 +206,7 @@ fn model(args: &Train, capture: &Path, named: Option<HeadRecord>) -> anyhow::Res
     if let Some(record) = named {
         record.check(capture, &model)?;
         if !record.may_be(&model) {
-            wrong_usage!(
+            wrong_settings!(
                 "{source} of seed {subject} is not the head of the capture, {} of seed {}; leave out --model and --subject",
                 record.head,
                 record.subject

@@ -2,15 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::clap::Args;
 use anyhow::{Context as _, bail};
-use clap::Args;
 use serde::de::Error as _;
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize};
 use srflow_files::{FileKind, parse_error_in_words, read_text};
 use srflow_nets::Iterations;
 
 use super::{MethodSpec, scored_method};
-use crate::in_words;
+use crate::Watch;
+use crate::error::in_words;
 use crate::networks::weights_file;
 
 macro_rules! tables {
@@ -28,17 +29,24 @@ fn names() -> String {
 }
 
 /// Rows of a table from a file.
-#[derive(Args, Debug, Clone, Default)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 #[command(next_help_heading = "Rows of a table")]
 pub struct RowsArgs {
     #[arg(long, value_name = "FILE|NAME", help = format!("Methods with their names and weights: a TOML file, or one of {}", names()))]
     pub rows: Option<String>,
     /// Folder that the weights of --rows are looked for in
-    #[arg(long, value_name = "DIR", default_value = ".", requires = "rows")]
+    #[arg(long, value_name = "DIR", default_value_os_t = Self::default().weights_dir, requires = "rows")]
     weights_dir: PathBuf,
     /// Leave out rows whose weights, or whose networks in this version, are missing, and say so in the table
     #[arg(long, requires = "rows")]
     skip_missing: bool,
+}
+
+impl Default for RowsArgs {
+    fn default() -> Self {
+        Self { rows: None, weights_dir: ".".into(), skip_missing: false }
+    }
 }
 
 /// The methods of a table.
@@ -90,11 +98,11 @@ impl RowsArgs {
     ///
     /// # Errors
     /// When the file cannot be read, or weights are missing: all that are, unless they are to be left out.
-    pub fn with(&self, given: &[MethodSpec]) -> anyhow::Result<Rows> {
+    pub fn with(&self, given: &[MethodSpec], watch: &Watch) -> anyhow::Result<Rows> {
         let Some(name) = &self.rows else {
             return Ok(Rows { methods: given.to_vec(), ..Rows::default() });
         };
-        let mut rows = self.found(name, parsed(name)?)?;
+        let mut rows = self.found(name, parsed(name)?, watch)?;
         rows.methods.extend_from_slice(given);
         if rows.methods.is_empty() {
             bail!("{name}: no row can be computed: {}", rows.left_out.join(" "));
@@ -102,7 +110,7 @@ impl RowsArgs {
         Ok(rows)
     }
 
-    fn found(&self, file: &str, texts: Vec<RowText>) -> anyhow::Result<Rows> {
+    fn found(&self, file: &str, texts: Vec<RowText>, watch: &Watch) -> anyhow::Result<Rows> {
         let mut rows = Rows::default();
         let mut missing = Vec::new();
         // First what is no matter of the network: nothing is fetched when a file is missing.
@@ -133,7 +141,7 @@ impl RowsArgs {
         if missing.is_empty() || self.skip_missing {
             for (text, spec) in &mut specs {
                 if let (true, Some(weights)) = (wanted.contains(&text.name.as_str()), &spec.weights) {
-                    match weights_file(spec.method.network(), weights) {
+                    match weights_file(spec.method.network(), weights, watch) {
                         Ok(path) => spec.weights = Some(path.display().to_string()),
                         Err(error) => missing.push((text.name.as_str(), in_words(&error))),
                     }
@@ -244,14 +252,14 @@ mod tests {
             weights_dir: folder.path().to_owned(),
             skip_missing: false,
         };
-        let error = args.with(&[]).unwrap_err().to_string();
+        let error = args.with(&[], &Watch::SILENT).unwrap_err().to_string();
         assert!(
             error.contains("2 of 3 rows") && error.contains("Ours: ") && error.contains("Small: "),
             "{error}"
         );
         assert!(!error.contains("Theirs"), "{error}");
         args.skip_missing = true;
-        let rows = args.with(&[super::super::Method::TvL1.into()]).unwrap();
+        let rows = args.with(&[super::super::Method::TvL1.into()], &Watch::SILENT).unwrap();
         let names: Vec<_> = rows.methods.iter().map(|spec| spec.label.as_deref()).collect();
         assert_eq!(names, [Some("Theirs"), None]);
         assert_eq!(rows.methods[0].iterations, Some("3".parse().unwrap()));

@@ -1,6 +1,7 @@
 //! Data that is made while training: the settings of `srflow shapes` and `srflow render` from the configuration of a training.
 
 use srflow_avatar::HeadSource;
+use srflow_core::{Numbers, SettingError};
 use srflow_read::flow::{MadeError, MadePairs};
 use srflow_render::RenderError;
 use srflow_render::generate::{MotionSource, ScenePairs, Settings};
@@ -25,10 +26,9 @@ fn shapes(spec: &MadeSpec, config: &Config) -> ShapesSettings {
     let size = config.data.shapes_size();
     ShapesSettings {
         pairs,
-        width: size.width,
-        height: size.height,
+        size,
         seed,
-        motion,
+        motion: Numbers(motion),
         textures: (!spec.of.is_empty()).then(|| spec.of.clone().into()),
         ..ShapesSettings::default()
     }
@@ -42,8 +42,7 @@ fn rendered(spec: &MadeSpec, config: &Config) -> Result<Settings, MadeError> {
         head: if spec.of.is_empty() { HeadSource::builtin() } else { spec.of.parse()? },
         scenes: *scenes,
         frames: f64::from(*frames),
-        width: size.width,
-        height: size.height,
+        size,
         seed: *seed,
         background: background
             .parse()
@@ -54,18 +53,16 @@ fn rendered(spec: &MadeSpec, config: &Config) -> Result<Settings, MadeError> {
     })
 }
 
-/// An error that names a key of the configuration instead of an argument.
+/// The error with the path of the setting in the configuration.
 fn in_configuration(error: RenderError, section: &str) -> MadeError {
     match &error {
-        RenderError::Argument { argument, found, expected } => match *argument {
-            // The name of the data says what they are of.
-            "--head" | "--textures" => format!("{found}: expected {expected}").into(),
-            "--noise" | "--lighting" | "--lamps" | "--shutter" | "--defocus" | "--jpeg" => {
-                let key = argument.replace("--", "recording.");
-                format!("{section}.{key} = {found}: expected {expected}").into()
-            }
-            _ => format!("{section}.{} = {found}: expected {expected}", argument.replace("--", "")).into(),
-        },
+        // The name of the data says what they are of.
+        RenderError::Setting(SettingError { field: "head" | "textures", found, expected }) => {
+            format!("{found}: expected {expected}").into()
+        }
+        RenderError::Setting(SettingError { field, found, expected }) => {
+            format!("{section}.{field} = {found}: expected {expected}").into()
+        }
         RenderError::Folder { path, error, expected, .. } => {
             format!("{}: {error}; expected {expected}", path.display()).into()
         }

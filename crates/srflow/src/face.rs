@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::clap::Args;
 use anyhow::Context as _;
-use clap::Args;
+use serde::{Deserialize, Serialize};
 use srflow_core::Image;
 use srflow_face::{
     FaceBox, FaceFinder, FacePoints, FrameCrop, LandmarkTable, MODEL_SOURCES, write_landmarks,
@@ -12,14 +13,15 @@ use srflow_face::{
 use srflow_mer::{FaceCrop, Landmarks};
 use srflow_read::micro_expression::Clip;
 
-use crate::progress::bar;
-use crate::usage::wrong_usage;
+use crate::Watch;
+use crate::error::wrong_settings;
 
 /// Environment variable with the place of MediaPipe's networks.
 pub const FACE_MODELS_VARIABLE: &str = "SRFLOW_FACE_MODELS";
 
 /// How faces are cut out; by default, frames are used whole.
-#[derive(Args, Debug, Clone, Default)]
+#[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct FaceArgs {
     /// Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats
     /// the run without them
@@ -69,7 +71,7 @@ impl FaceArgs {
             (None, Some(path)) => path.into(),
             (None, None) => match installed_mediapipe() {
                 Some(folder) => folder,
-                None => wrong_usage!(
+                None => wrong_settings!(
                     "--face detect needs {MODEL_SOURCES}; give it with --face-models (python3 has no mediapipe installed)"
                 ),
             },
@@ -86,13 +88,13 @@ impl FaceArgs {
         clips: impl Iterator<Item = &'a Clip>,
         file: impl FnOnce() -> PathBuf,
         force: bool,
+        watch: &Watch,
     ) -> anyhow::Result<FaceCrop> {
         if let Some(finder) = self.finder()? {
             let file = file();
             let clips: Vec<&Clip> = clips.collect();
-            let bar = bar(clips.len() as u64, "{bar:30} {pos}/{len} faces, {eta} left");
-            let found = Landmarks::find(&clips, &finder, self.index(), &file, force, &|| bar.inc(1));
-            bar.finish_and_clear();
+            let faces = watch.count("faces", clips.len() as u64);
+            let found = Landmarks::find(&clips, &finder, self.index(), &file, force, &|| faces.inc());
             return Ok(FaceCrop::Landmarks(found?));
         }
         Ok(match (&self.landmarks, self.face_box) {

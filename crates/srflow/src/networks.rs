@@ -4,16 +4,17 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use crate::clap::{Args, ValueEnum};
 use anyhow::Context as _;
-use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
 use srflow_nets::{
     Architecture, Claim, Iterations, Network, NetworkEstimator, SettingError, claim, find_weights,
     load_included, load_network, weights_folder,
 };
 use srflow_ops::{Device, Precision, check_precision, device, device_kinds, fastest_precision};
 
-use crate::progress::bar;
-use crate::usage::wrong_usage;
+use crate::Watch;
+use crate::error::wrong_settings;
 
 /// The default device.
 const CPU: &str = "cpu";
@@ -26,7 +27,8 @@ pub enum Weights {
 }
 
 /// Parameters of networks.
-#[derive(Args, Debug, Clone)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 #[command(next_help_heading = "Parameters of networks")]
 pub struct NetworkArgs {
     /// Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things;
@@ -36,8 +38,9 @@ pub struct NetworkArgs {
     #[arg(long, value_name = "N|auto[:PX]", help = iterations_help())]
     iters: Option<Iterations>,
     /// Setting that is not stored in the weights, for every network that has it; `srflow models` lists them
-    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = setting)]
-    settings: Vec<(String, usize)>,
+    #[arg(long, value_name = "NAME=VALUE", value_parser = setting)]
+    #[serde(with = "pairs")]
+    set: Vec<(String, usize)>,
     /// What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where
     /// it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always
     #[arg(long, value_name = "PRECISION", default_value_t)]
@@ -48,6 +51,7 @@ pub struct NetworkArgs {
     attention_tolerance: Option<f32>,
     /// Pairs estimated at once, where a command supports it.
     #[arg(skip = 1_usize)]
+    #[serde(skip, default = "one")]
     pub batch: usize,
     /// Device to compute on
     #[arg(long, value_name = "DEVICE", default_value = CPU, help = device_help())]
@@ -55,7 +59,8 @@ pub struct NetworkArgs {
 }
 
 /// `--precision`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum PrecisionArg {
     #[default]
     F32,
@@ -88,7 +93,7 @@ impl PrecisionArg {
             Self::Bf16 => Precision::Bf16,
         };
         if let Err(error) = check_precision(&opened(name)?, wanted) {
-            wrong_usage!("--precision with --device {name}: {error}");
+            wrong_settings!("--precision with --device {name}: {error}");
         }
         Ok(wanted)
     }
@@ -101,7 +106,7 @@ impl PrecisionArg {
 fn opened(name: &str) -> anyhow::Result<Device> {
     match device(name) {
         Ok(device) => Ok(device),
-        Err(error) => wrong_usage!("--device: {error}"),
+        Err(error) => wrong_settings!("--device: {error}"),
     }
 }
 
@@ -133,12 +138,31 @@ pub fn device_help() -> String {
     format!("Device to compute on; this build has {}", device_kinds().join(", "))
 }
 
+fn one() -> usize {
+    1
+}
+
+/// Pairs of a name and a value as a map.
+mod pairs {
+    use std::collections::BTreeMap;
+
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub fn serialize<S: Serializer>(pairs: &[(String, usize)], serializer: S) -> Result<S::Ok, S::Error> {
+        pairs.iter().cloned().collect::<BTreeMap<_, _>>().serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(String, usize)>, D::Error> {
+        Ok(BTreeMap::deserialize(deserializer)?.into_iter().collect())
+    }
+}
+
 impl Default for NetworkArgs {
     fn default() -> Self {
         Self {
             weights: None,
             iters: None,
-            settings: Vec::new(),
+            set: Vec::new(),
             precision: PrecisionArg::F32,
             attention_tolerance: None,
             batch: 1,
@@ -153,7 +177,7 @@ impl NetworkArgs {
         [
             ("--weights", self.weights.is_some()),
             ("--iters", self.iters.is_some()),
-            ("--set", !self.settings.is_empty()),
+            ("--set", !self.set.is_empty()),
             ("--precision", self.precision != PrecisionArg::F32),
             ("--attention-tolerance", self.attention_tolerance.is_some()),
             ("--batch", self.batch > 1),
@@ -165,8 +189,8 @@ impl NetworkArgs {
 
     /// The same for a method with iterations and settings of its own.
     pub fn of(&self, iterations: Option<Iterations>, settings: &[(String, usize)]) -> Self {
-        let settings = self.settings.iter().chain(settings).cloned().collect();
-        Self { iters: iterations.or(self.iters), settings, ..self.clone() }
+        let set = self.set.iter().chain(settings).cloned().collect();
+        Self { iters: iterations.or(self.iters), set, ..self.clone() }
     }
 
     pub fn on_cpu(&self) -> bool {
@@ -228,10 +252,10 @@ impl NetworkArgs {
 
     /// Applies the settings that the network has; the rest is for other networks.
     fn set(&self, network: &mut Network) -> anyhow::Result<()> {
-        for (name, value) in &self.settings {
+        for (name, value) in &self.set {
             match network.set(name, *value) {
                 Ok(()) | Err(SettingError::Unknown { .. }) => {}
-                Err(error) => wrong_usage!("--set {name}={value}: {error}"),
+                Err(error) => wrong_settings!("--set {name}={value}: {error}"),
             }
         }
         Ok(())
@@ -244,7 +268,7 @@ impl NetworkArgs {
     pub fn check(&self, networks: &[Architecture]) -> anyhow::Result<()> {
         let names = || networks.iter().map(|network| network.name()).collect::<Vec<_>>().join(", ");
         if self.iters.is_some() && !networks.iter().any(|network| network.facts().refines()) {
-            wrong_usage!(
+            wrong_settings!(
                 "--iters is for networks that refine their flow, and not for {}: leave it out",
                 names()
             );
@@ -254,20 +278,20 @@ impl NetworkArgs {
             let attending: Vec<Architecture> = attending.collect();
             if !networks.iter().any(|network| attending.contains(network)) {
                 let attending = attending.iter().map(|network| network.name()).collect::<Vec<_>>().join(", ");
-                wrong_usage!(
+                wrong_settings!(
                     "--attention-tolerance is for networks with attention between all pixels ({attending}), and not for {}: leave it out",
                     names()
                 );
             }
             if !self.on_cpu() {
-                wrong_usage!(
+                wrong_settings!(
                     "--attention-tolerance works on the CPU, not with --device {}: leave it out",
                     self.device
                 );
             }
         }
         let own: Vec<_> = networks.iter().map(|network| self.settings(*network)).collect::<Result<_, _>>()?;
-        for (name, _) in &self.settings {
+        for (name, _) in &self.set {
             if !own.iter().any(|own| own.contains_key(name.as_str())) {
                 let all = Architecture::ALL.map(|network| (network.name(), self.settings(network)));
                 let having = all
@@ -276,10 +300,16 @@ impl NetworkArgs {
                 let having: Vec<&str> = having.map(|(name, _)| *name).collect();
                 match having.as_slice() {
                     [] => {
-                        wrong_usage!("--set {name}: no network has this setting; `srflow models` lists them")
+                        wrong_settings!(
+                            "--set {name}: no network has this setting; `srflow models` lists them"
+                        )
                     }
                     having => {
-                        wrong_usage!("--set {name}: a setting of {}, not of {}", having.join(", "), names())
+                        wrong_settings!(
+                            "--set {name}: a setting of {}, not of {}",
+                            having.join(", "),
+                            names()
+                        )
                     }
                 }
             }
@@ -291,12 +321,17 @@ impl NetworkArgs {
     ///
     /// # Errors
     /// When no weights are given and none come with srflow, or they cannot be found.
-    pub fn weights_of(&self, architecture: Architecture, own: Option<&str>) -> anyhow::Result<Weights> {
+    pub fn weights_of(
+        &self,
+        architecture: Architecture,
+        own: Option<&str>,
+        watch: &Watch,
+    ) -> anyhow::Result<Weights> {
         let name = architecture.name();
         match own.or(self.weights.as_deref()) {
-            Some(weights) => weights_file(Some(architecture), weights).map(Weights::File),
+            Some(weights) => weights_file(Some(architecture), weights, watch).map(Weights::File),
             None if architecture.facts().included.is_some() => Ok(Weights::Included),
-            None => wrong_usage!(
+            None => wrong_settings!(
                 "{name} needs weights: give --weights FILE, or --method {name}=FILE; `srflow models` lists where to get \
                 them"
             ),
@@ -313,9 +348,10 @@ impl NetworkArgs {
         weights: Option<&str>,
         label: String,
         scale: f64,
+        watch: &Watch,
     ) -> anyhow::Result<NetworkEstimator> {
         let (device, precision) = (opened(&self.device)?, self.precision()?);
-        let mut network = match self.weights_of(architecture, weights)? {
+        let mut network = match self.weights_of(architecture, weights, watch)? {
             Weights::Included => load_included(architecture, &device).context("no weights")?,
             Weights::File(path) => {
                 let network = load_network(architecture, &path, &device)?;
@@ -338,13 +374,13 @@ impl NetworkArgs {
 pub fn note_if_ambiguous(architecture: Architecture, path: &Path) -> anyhow::Result<()> {
     let (file, facts) = (path.display(), architecture.facts());
     match claim(architecture, path)? {
-        Claim::Ambiguous(others) => note!(
-            "note: {file}: these may be weights of {} or of {}, whose parameters have the same names and shapes",
+        Claim::Ambiguous(others) => log::warn!(
+            "{file}: these may be weights of {} or of {}, whose parameters have the same names and shapes",
             facts.title,
             others.join(", ")
         ),
         Claim::Other(other) if facts.lookalikes.contains(&other) => {
-            note!("note: {file}: these are weights of {other}, from which {} starts", facts.title);
+            log::warn!("{file}: these are weights of {other}, from which {} starts", facts.title);
         }
         _ => {}
     }
@@ -355,16 +391,19 @@ pub fn note_if_ambiguous(architecture: Architecture, path: &Path) -> anyhow::Res
 ///
 /// # Errors
 /// When it is neither a file nor a published name, or cannot be fetched.
-pub fn weights_file(architecture: Option<Architecture>, weights: &str) -> anyhow::Result<PathBuf> {
+pub fn weights_file(
+    architecture: Option<Architecture>,
+    weights: &str,
+    watch: &Watch,
+) -> anyhow::Result<PathBuf> {
     let folder = weights_folder();
-    let bar = bar(None, "{spinner} weights {bytes} of {total_bytes}  {bytes_per_sec}  ETA {eta}");
+    let fetched = watch.count("bytes of weights", None);
     let found = find_weights(weights.as_ref(), architecture, folder.as_deref(), &mut |done, len| {
         if let Some(len) = len {
-            bar.set_length(len);
+            fetched.set_total(len);
         }
-        bar.set_position(done);
+        fetched.set(done);
     });
-    bar.finish_and_clear();
     found.with_context(|| {
         let of = architecture.map_or(String::new(), |architecture| format!(" of {}", architecture.name()));
         format!("weights{of} (`srflow models` lists the published ones)")

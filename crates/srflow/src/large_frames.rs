@@ -1,17 +1,18 @@
 //! `--tile` and `--scale`: for frames that are too large for memory or too slow.
 
+use std::fmt;
 use std::str::FromStr;
 
+use crate::clap::Args;
 use anyhow::Context as _;
-use clap::Args;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use srflow_core::Size;
 use srflow_nets::{Padding, SMALLEST_TILE_SIDE, TileSize, Tiles, Tiling, scaled_size};
 
+use crate::error::wrong_settings;
 use crate::machine;
 use crate::methods::Method;
 use crate::networks::NetworkArgs;
-use crate::usage::wrong_usage;
 
 /// The share of free memory that `--tile auto` uses: frames and flow need some beside the network.
 const MEMORY_SHARE: f64 = 0.8;
@@ -19,7 +20,8 @@ const MEMORY_SHARE: f64 = 0.8;
 const CLASSICAL_ALIGNMENT: usize = 8;
 
 /// Options for large frames.
-#[derive(Args, Debug, Clone, Default)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 #[command(next_help_heading = "Large frames")]
 pub struct LargeFrames {
     /// Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if
@@ -27,11 +29,17 @@ pub struct LargeFrames {
     #[arg(long, value_name = "WIDTHxHEIGHT|auto")]
     tile: Option<Tile>,
     /// Overlap of neighbouring tiles in pixels, up to half a tile
-    #[arg(long, value_name = "PIXELS", default_value_t = 128, requires = "tile", value_parser = overlap)]
+    #[arg(long, value_name = "PIXELS", default_value_t = Self::default().tile_overlap, requires = "tile", value_parser = overlap)]
     tile_overlap: usize,
     /// Resize the frames by this factor first, and the flow back
     #[arg(long, value_name = "FACTOR", value_parser = factor)]
     pub scale: Option<f64>,
+}
+
+impl Default for LargeFrames {
+    fn default() -> Self {
+        Self { tile: None, tile_overlap: 128, scale: None }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,6 +73,17 @@ fn overlap(text: &str) -> Result<usize, String> {
         _ => Err("expected 8 to 4096 pixels".to_owned()),
     }
 }
+
+impl fmt::Display for Tile {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Size(size) => size.fmt(f),
+            Self::Auto => f.write_str("auto"),
+        }
+    }
+}
+
+srflow_core::serialize_as_text!(Tile);
 
 impl FromStr for Tile {
     type Err = String;
@@ -106,7 +125,7 @@ impl LargeFrames {
             (Some(Tile::Size(size)), _) => Some(TileSize::Fixed(size.width, size.height)),
             (Some(Tile::Auto), Method::Network(architecture)) => {
                 if !network.on_cpu() {
-                    wrong_usage!(
+                    wrong_settings!(
                         "--tile auto knows the memory of the machine, not of {}: give WIDTHxHEIGHT",
                         network.device
                     );
@@ -117,7 +136,7 @@ impl LargeFrames {
                 Some(TileSize::Fitting { need, bytes: (free as f64 * MEMORY_SHARE) as u64 })
             }
             (Some(Tile::Auto), _) => {
-                wrong_usage!(
+                wrong_settings!(
                     "--tile auto is for networks: give {} WIDTHxHEIGHT, or leave it out",
                     method.name()
                 )

@@ -31,6 +31,8 @@ impl fmt::Display for ShardChoice {
     }
 }
 
+srflow_core::serialize_as_text!(ShardChoice);
+
 impl FromStr for ShardChoice {
     type Err = String;
 

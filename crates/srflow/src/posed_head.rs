@@ -1,14 +1,16 @@
 //! Arguments for a head avatar in a pose, in place of a file of Gaussians.
 
+use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
-use clap::Args;
+use crate::clap::Args;
+use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatar, HeadModel, HeadParameters, HeadPose, HeadSource, Motion, PoseParameters, Side};
 use srflow_core::random::Key;
 use srflow_render::generate::MotionSource;
 
-use crate::usage::wrong_usage;
+use crate::error::wrong_settings;
 
 /// The help of `--head`.
 fn head_help() -> String {
@@ -20,7 +22,8 @@ const FRAMES: usize = 240;
 pub const FRAMES_PER_SECOND: f32 = 24.0;
 
 /// A head avatar and its pose.
-#[derive(Args)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct HeadArgs {
     /// Head, instead of a file of Gaussians
     #[arg(long, value_name = "HEAD", help = head_help())]
@@ -36,13 +39,36 @@ pub struct HeadArgs {
     #[arg(long, value_name = "UNITS", requires = "head", conflicts_with_all = ["motion", "timestep"])]
     action_units: Option<ActionUnits>,
     /// Seed of the person and of the random motion, for heads that are made from one
-    #[arg(long, value_name = "N", requires = "head", default_value_t = 1)]
+    #[arg(long, value_name = "N", requires = "head", default_value_t = Self::default().seed)]
     seed: u64,
+}
+
+impl Default for HeadArgs {
+    fn default() -> Self {
+        Self { head: None, motion: None, timestep: None, action_units: None, seed: 1 }
+    }
 }
 
 /// Numbers, sides and intensities.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ActionUnits(Vec<(u8, Side, f32)>);
+
+impl fmt::Display for ActionUnits {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (place, (number, side, intensity)) in self.0.iter().enumerate() {
+            let comma = if place == 0 { "" } else { "," };
+            let side = match side {
+                Side::Both => "",
+                Side::Left => "_L",
+                Side::Right => "_R",
+            };
+            write!(f, "{comma}{number}{side}={intensity}")?;
+        }
+        Ok(())
+    }
+}
+
+srflow_core::serialize_as_text!(ActionUnits);
 
 impl FromStr for ActionUnits {
     type Err = String;
@@ -150,14 +176,11 @@ impl MovingHead {
         let default = if avatar.own_motion().is_empty() { MotionSource::Curves } else { MotionSource::Own };
         let source = motion.unwrap_or(&default);
         if *source == MotionSource::Mixed {
-            wrong_usage!(
+            wrong_settings!(
                 "--motion mixed: expected own, curves or a file; mixed is a motion of `srflow render`"
             );
         }
-        let recorded = match source.poses_of(recorded, &avatar) {
-            Err(error @ srflow_render::RenderError::Argument { .. }) => wrong_usage!("{error}"),
-            poses => poses?,
-        };
+        let recorded = source.poses_of(recorded, &avatar)?;
         Ok(Self { avatar, recorded, seed })
     }
 
@@ -186,7 +209,7 @@ impl MovingHead {
                 let motion = Motion::new(model, Key::new(self.seed), FRAMES, FRAMES_PER_SECOND);
                 Ok(motion.at(model, timestep).pose)
             }
-            _ => wrong_usage!(
+            _ => wrong_settings!(
                 "{option} {timestep}: the motion has timesteps 0 to {}",
                 timesteps.saturating_sub(1)
             ),

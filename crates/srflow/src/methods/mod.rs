@@ -1,25 +1,26 @@
 //! The table behind `--method`: every estimator by name.
 
 mod labels;
-mod options;
 mod record;
 mod rows;
 
+use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
 
-use clap::Args;
+use crate::clap::Args;
+use serde::{Deserialize, Serialize};
 use srflow_classical::{Farneback, FarnebackParameters, Refined, TvL1, TvL1Parameters};
 use srflow_core::{FlowEstimator, FlowField, Image};
 use srflow_eval::{FlowFiles, Zero};
 use srflow_nets::{Architecture, Iterations, Scaled, Tiled};
 use srflow_read::flow::FlowDataset;
 
+use crate::Watch;
+use crate::error::wrong_settings;
 use crate::large_frames::LargeFrames;
 use crate::networks::NetworkArgs;
-use crate::usage::wrong_usage;
 use labels::{Labelled, labels};
-pub use options::estimator_of;
 pub use record::records;
 pub use rows::{Rows, RowsArgs};
 
@@ -108,6 +109,19 @@ impl From<Method> for MethodSpec {
     }
 }
 
+impl fmt::Display for MethodSpec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(label) = &self.label {
+            write!(f, "{label}:")?;
+        }
+        match (self.method, &self.weights) {
+            (Method::Files, dir) => write!(f, "files:{}", dir.as_deref().unwrap_or_default()),
+            (method, None) => f.write_str(method.name()),
+            (method, Some(weights)) => write!(f, "{}={weights}", method.name()),
+        }
+    }
+}
+
 impl FromStr for MethodSpec {
     type Err = String;
 
@@ -168,24 +182,30 @@ fn label_and_files(text: &str) -> Option<(Option<&str>, &str)> {
 }
 
 /// Parameters of the methods. Each applies to the methods in its heading and has a default.
-#[derive(Args, Debug, Clone, Default)]
+#[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct MethodParameters {
     /// Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps
     /// say otherwise; the other parameters of tvl1 apply as well
     #[arg(long)]
     refine: bool,
     #[command(flatten)]
+    #[serde(flatten)]
     pub network: NetworkArgs,
     #[command(flatten)]
+    #[serde(flatten)]
     pub large_frames: LargeFrames,
     #[command(flatten)]
+    #[serde(flatten)]
     farneback: FarnebackArgs,
     #[command(flatten)]
+    #[serde(flatten)]
     tvl1: TvL1Args,
 }
 
 /// OpenCV's parameters of `calcOpticalFlowFarneback`.
-#[derive(Args, Debug, Clone, Default)]
+#[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 #[command(next_help_heading = "Parameters of farneback")]
 struct FarnebackArgs {
     /// Size of a pyramid level relative to the next finer one [default: 0.5]
@@ -212,7 +232,8 @@ struct FarnebackArgs {
 }
 
 /// OpenCV's parameters of `DualTVL1OpticalFlow`.
-#[derive(Args, Debug, Clone, Default)]
+#[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 #[command(next_help_heading = "Parameters of tvl1")]
 struct TvL1Args {
     /// Time step of the dual update [default: 0.25]
@@ -254,8 +275,12 @@ struct TvL1Args {
 ///
 /// # Errors
 /// As [`estimators`].
-pub fn estimator(spec: &MethodSpec, parameters: &MethodParameters) -> anyhow::Result<Box<dyn FlowEstimator>> {
-    Ok(estimators(std::slice::from_ref(spec), parameters)?.swap_remove(0))
+pub fn estimator(
+    spec: &MethodSpec,
+    parameters: &MethodParameters,
+    watch: &Watch,
+) -> anyhow::Result<Box<dyn FlowEstimator>> {
+    Ok(estimators(std::slice::from_ref(spec), parameters, watch)?.swap_remove(0))
 }
 
 /// The estimators of these methods, in order, without duplicates.
@@ -265,8 +290,9 @@ pub fn estimator(spec: &MethodSpec, parameters: &MethodParameters) -> anyhow::Re
 pub fn estimators(
     specs: &[MethodSpec],
     parameters: &MethodParameters,
+    watch: &Watch,
 ) -> anyhow::Result<Vec<Box<dyn FlowEstimator>>> {
-    named(specs, parameters)?.into_iter().map(|(spec, label)| built(spec, label, parameters)).collect()
+    named(specs, parameters)?.into_iter().map(|(spec, label)| built(spec, label, parameters, watch)).collect()
 }
 
 /// A method of `srflow eval`.
@@ -304,6 +330,7 @@ pub fn sources(
     parameters: &MethodParameters,
     dataset: &FlowDataset,
     limit: Option<usize>,
+    watch: &Watch,
 ) -> anyhow::Result<Vec<Source>> {
     let specs = named(specs, parameters)?;
     // Files first: missing ones are reported before networks are loaded.
@@ -315,7 +342,7 @@ pub fn sources(
     }
     let source = |((spec, label), files): ((&MethodSpec, String), Option<FlowFiles>)| match files {
         Some(files) => Ok(Source::Files(files)),
-        None => built(spec, label, parameters).map(Source::Estimator),
+        None => built(spec, label, parameters, watch).map(Source::Estimator),
     };
     specs.into_iter().zip(files).map(source).collect()
 }
@@ -331,12 +358,12 @@ fn named<'a>(
     let network = &parameters.network;
     match network.given() {
         Some(option) if networks.is_empty() => {
-            wrong_usage!("{option} is for networks, and --method names none: leave it out")
+            wrong_settings!("{option} is for networks, and --method names none: leave it out")
         }
         _ => network.check(&networks)?,
     }
     if network.weights.is_some() && without != 1 {
-        wrong_usage!(
+        wrong_settings!(
             "--weights is for one network, and --method names {without} without weights of their own: write \
              --method NETWORK=WEIGHTS for each"
         );
@@ -345,10 +372,10 @@ fn named<'a>(
     let labels = labels(&specs);
     for (number, label) in labels.iter().enumerate() {
         if label == Zero.name() {
-            wrong_usage!("`zero` is the baseline of the tables: give the method another name");
+            wrong_settings!("`zero` is the baseline of the tables: give the method another name");
         }
         if labels[..number].contains(label) {
-            wrong_usage!("two methods have the name {label}: rename one, as in --method NAME:skflow=FILE");
+            wrong_settings!("two methods have the name {label}: rename one, as in --method NAME:skflow=FILE");
         }
     }
     Ok(specs.into_iter().zip(labels).collect())
@@ -369,6 +396,7 @@ fn built(
     spec: &MethodSpec,
     label: String,
     parameters: &MethodParameters,
+    watch: &Watch,
 ) -> anyhow::Result<Box<dyn FlowEstimator>> {
     let large_frames = &parameters.large_frames;
     let estimator: Box<dyn FlowEstimator> = match spec.method {
@@ -377,9 +405,9 @@ fn built(
         Method::Network(architecture) => {
             let network = parameters.network.of(spec.iterations, &spec.settings);
             let scale = large_frames.scale.unwrap_or(1.0);
-            Box::new(network.estimator(architecture, spec.weights.as_deref(), label.clone(), scale)?)
+            Box::new(network.estimator(architecture, spec.weights.as_deref(), label.clone(), scale, watch)?)
         }
-        Method::Files => wrong_usage!("files:DIR estimates nothing"),
+        Method::Files => wrong_settings!("files:DIR estimates nothing"),
     };
     let tiled = match large_frames.tiling(spec.method, &parameters.network)? {
         Some(tiling) => Box::new(Tiled::new(estimator, tiling)),
@@ -480,7 +508,8 @@ mod tests {
     #[test]
     fn two_methods_of_one_name_are_refused() {
         let specs = ["a:tvl1", "a:farneback"].map(|text| text.parse().unwrap());
-        let error = estimators(&specs, &MethodParameters::default()).err().unwrap().to_string();
+        let error =
+            estimators(&specs, &MethodParameters::default(), &Watch::SILENT).err().unwrap().to_string();
         assert!(error.contains("have the name a:"), "{error}");
     }
 }

@@ -1,4 +1,4 @@
-//! An evaluation with a progress bar.
+//! An evaluation that reports its progress.
 
 use std::path::Path;
 
@@ -6,9 +6,9 @@ use srflow_eval::{Evaluation, Event, Method, ScoredPair, Settings, evaluate};
 use srflow_files::{create_folder, write_flow};
 use srflow_read::flow::FlowDataset;
 
-use crate::progress::bar;
+use crate::Watch;
 
-/// Scores `methods` over `dataset`, with a bar on standard error where that is a terminal. `on_pair` sees every pair that was
+/// Scores `methods` over `dataset`. `on_pair` sees every pair that was
 /// scored, and whether it is one of `shown` that are spread evenly over them, for pictures.
 ///
 /// # Errors
@@ -18,30 +18,30 @@ pub fn score(
     methods: &[Method<'_>],
     settings: Settings,
     shown: usize,
+    watch: &Watch,
     on_pair: &mut dyn FnMut(&ScoredPair, bool) -> anyhow::Result<()>,
 ) -> anyhow::Result<Evaluation> {
-    let bar = bar(0, "{bar:30} {pos}/{len} pairs  {elapsed} elapsed, {eta} to go  {msg}");
+    let scored = watch.count("pairs", 0);
     let mut problem: Option<anyhow::Error> = None;
     let mut every = None;
     let result = evaluate(dataset, methods, settings, &mut |event| match event {
         Event::Started { pairs } => {
-            bar.set_length(pairs as u64);
+            scored.set_total(pairs as u64);
             every = shown_every(pairs, shown);
         }
-        Event::Estimating { method, pair } => bar.set_message(format!("{method} on {pair}")),
+        Event::Estimating { method, pair } => scored.message(format!("{method} on {pair}")),
         Event::Scored(pair) => {
-            bar.inc(1);
+            scored.inc();
             if problem.is_none() {
                 problem = on_pair(pair, is_shown(pair.index, every)).err();
             }
         }
-        Event::Kept => bar.inc(1),
+        Event::Kept => scored.inc(),
         Event::LeftOut(failure) => {
-            bar.inc(1);
-            bar.suspend(|| note!("left out: {}: {}", failure.pair, failure.reason));
+            scored.inc();
+            log::info!("left out: {}: {}", failure.pair, failure.reason);
         }
     });
-    bar.finish_and_clear();
     let evaluation = result?;
     problem.map_or(Ok(evaluation), Err)
 }

@@ -8,19 +8,29 @@ use srflow_ops::Precision;
 
 use super::labels::labels;
 use super::{Method, MethodParameters, MethodSpec, distinct};
+use crate::Watch;
 use crate::networks::Weights;
 
 /// One record per method, in the order of [`super::estimators`].
 ///
 /// # Errors
 /// When weights cannot be found or read.
-pub fn records(specs: &[MethodSpec], parameters: &MethodParameters) -> anyhow::Result<Vec<MethodRecord>> {
+pub fn records(
+    specs: &[MethodSpec],
+    parameters: &MethodParameters,
+    watch: &Watch,
+) -> anyhow::Result<Vec<MethodRecord>> {
     let specs = distinct(specs);
     let labels = labels(&specs);
-    specs.into_iter().zip(labels).map(|(spec, name)| record(spec, name, parameters)).collect()
+    specs.into_iter().zip(labels).map(|(spec, name)| record(spec, name, parameters, watch)).collect()
 }
 
-fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> anyhow::Result<MethodRecord> {
+fn record(
+    spec: &MethodSpec,
+    name: String,
+    parameters: &MethodParameters,
+    watch: &Watch,
+) -> anyhow::Result<MethodRecord> {
     let MethodParameters { network, large_frames, farneback, tvl1, .. } = parameters;
     let network = network.of(spec.iterations, &spec.settings);
     let (mut own, weights) = match spec.method {
@@ -44,7 +54,7 @@ fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> any
             for (name, value) in network.settings(architecture)? {
                 own += &format!(", {name}={value}");
             }
-            (own, Some((architecture, network.weights_of(architecture, spec.weights.as_deref())?)))
+            (own, Some((architecture, network.weights_of(architecture, spec.weights.as_deref(), watch)?)))
         }
         Method::Files => (format!("files in {}", spec.weights.as_deref().unwrap_or_default()), None),
     };

@@ -1,0 +1,3 @@
+//! Jobs of avatars.
+
+pub mod capture;

@@ -1,0 +1,75 @@
+//! Facial optical flow, end to end: synthetic heads and avatars of 3D Gaussians, rendered datasets with exact flow, networks, and
+//! micro-expression recognition.
+//!
+//! Each job is a struct with its settings as fields. [`Job::run`] does the work and returns a report, which displays as text and
+//! serializes as JSON:
+//!
+//! ```no_run
+//! use srflow::{Job, Watch, render::RenderJob};
+//!
+//! let job = RenderJob { scenes: 3, frames: 8.0, ..RenderJob::new("tiny") };
+//! let report = job.run(&Watch::SILENT)?;
+//! println!("{report}");
+//! # Ok::<(), srflow::Error>(())
+//! ```
+//!
+//! [`Watch`] follows a job and can stop it; running a stopped job again continues. With the feature `clap` the same structs are the
+//! options of the command `srflow`.
+//!
+//! For work in memory, the building blocks of the jobs are re-exported: fields and images ([`core`]), their files ([`files`]),
+//! the rasterizer ([`splat`]), classical methods ([`classical`]) and networks ([`nets`]).
+#![cfg_attr(not(feature = "clap"), allow(dead_code, reason = "parsers of arguments"))]
+
+pub mod avatar;
+#[doc(hidden)]
+pub mod error;
+#[doc(hidden)]
+pub mod face;
+mod job;
+#[doc(hidden)]
+pub mod job_engine;
+#[doc(hidden)]
+pub mod large_frames;
+#[doc(hidden)]
+pub mod machine;
+#[doc(hidden)]
+pub mod made;
+pub mod mer;
+pub mod merge;
+#[doc(hidden)]
+pub mod methods;
+#[doc(hidden)]
+pub mod networks;
+#[doc(hidden)]
+pub mod opening;
+#[doc(hidden)]
+pub mod output;
+#[doc(hidden)]
+pub mod posed_head;
+pub mod render;
+#[doc(hidden)]
+pub mod rendering;
+#[doc(hidden)]
+pub mod scoring;
+pub mod shapes;
+#[doc(hidden)]
+pub mod video;
+mod watch;
+
+pub use error::{Error, ErrorKind};
+pub use job::{Job, Report, WhenStopped};
+pub use watch::{Progress, Watch};
+
+#[doc(inline)]
+pub use {
+    srflow_classical as classical, srflow_core as core, srflow_files as files, srflow_nets as nets,
+    srflow_splat as splat,
+};
+
+/// Clap's derives with the feature `clap`; otherwise derives that generate nothing.
+pub(crate) mod clap {
+    #[cfg(feature = "clap")]
+    pub use ::clap::{Args, ValueEnum};
+    #[cfg(not(feature = "clap"))]
+    pub use srflow_no_clap::{Args, ValueEnum};
+}

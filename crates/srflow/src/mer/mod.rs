@@ -1,0 +1,3 @@
+//! Jobs of micro-expressions.
+
+pub mod synth;

@@ -29,7 +29,8 @@ use srflow::{
 use std::ffi::OsString;
 use std::io::{self, Write};
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
+use srflow::Job;
 
 /// Exit codes; see the help of the command.
 const FAILED: u8 = 1;
@@ -59,6 +60,9 @@ pub(crate) struct Context {
     /// Number of threads (default: all cores, or as many as control groups or SLURM_CPUS_PER_TASK allow)
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+    /// The long options of the command.
+    #[arg(skip)]
+    options: Vec<String>,
 }
 
 #[derive(Subcommand)]
@@ -87,7 +91,8 @@ enum Command {
 /// Runs the command with the arguments of a process, of which the first is its name, and returns its exit code.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
-    let cli = match Cli::try_parse_from(&arguments) {
+    notes::start();
+    let cli = match parsed(&arguments) {
         Ok(cli) => cli,
         Err(error) => {
             _ = error.print();
@@ -140,9 +145,33 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     }
 }
 
+fn parsed(arguments: &[OsString]) -> Result<Cli, clap::Error> {
+    let mut command = Cli::command();
+    let matches = command.try_get_matches_from_mut(arguments)?;
+    let path = usage::path(&matches);
+    let mut cli = Cli::from_arg_matches(&matches)?;
+    let options = usage::options(&command, &path);
+    if let Some(defaults) = cli.command.preset_defaults() {
+        let mut command = usage::with_defaults(Cli::command(), &path, &defaults);
+        cli = Cli::from_arg_matches(&command.try_get_matches_from_mut(arguments)?)?;
+    }
+    cli.context.options = options;
+    Ok(cli)
+}
+
+impl Command {
+    /// The settings that a preset starts from, where one was chosen.
+    fn preset_defaults(&self) -> Option<serde_json::Value> {
+        match self {
+            Self::Render(job) => job.preset_defaults(),
+            _ => None,
+        }
+    }
+}
+
 /// Prints the error, with `--json` also to standard output.
 fn fail(error: &anyhow::Error, context: &Context) -> u8 {
-    let text = in_words(error);
+    let text = usage::in_options(error, &context.options);
     note!("error: {text}");
     if context.json {
         output::print_error_json(&text);

@@ -356,21 +356,16 @@ mod tests {
             layout_version: LAYOUT_VERSION,
             srflow_version: "0.1.0".into(),
             arguments: Arguments {
-                head: "builtin".into(),
-                scenes: 1,
-                frames: 4.0,
                 width: 110,
                 height: 160,
-                splits: [1.0, 0.0, 0.0],
-                seed: u64::MAX,
                 flow_format: "flo".into(),
                 backward: false,
                 depth: true,
-                background: "#ffffff".into(),
-                motion: "curves".into(),
                 regions: true,
-                recording: Recording::none(),
-                device: None,
+                others: [("head", "builtin".into()), ("seed", u64::MAX.into())]
+                    .map(|(name, value): (&str, serde_json::Value)| (name.to_owned(), value))
+                    .into_iter()
+                    .collect(),
             },
             rig: vec![],
             scenes: vec![SceneEntry {
@@ -394,11 +389,6 @@ mod tests {
         let manifest = manifest();
         let text = serde_json::to_string_pretty(&manifest).unwrap();
         assert_eq!(read(&text).unwrap(), manifest);
-        // As datasets without effects were always written.
-        assert!(!text.contains("recording"), "{text}");
-        let mut recorded = manifest;
-        recorded.arguments.recording = Recording::wild();
-        assert_eq!(read(&serde_json::to_string_pretty(&recorded).unwrap()).unwrap(), recorded);
     }
 
     #[test]

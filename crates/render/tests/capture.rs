@@ -17,8 +17,7 @@ fn settings() -> CaptureSettings {
     CaptureSettings {
         cameras: 3,
         timesteps: 4,
-        width: 110,
-        height: 160,
+        size: srflow_core::Size { width: 110, height: 160 },
         seed: 7,
         ..CaptureSettings::default()
     }

@@ -24,7 +24,7 @@ fn a_dataset_from_a_gpu_is_that_of_the_cpu_within_the_tolerance() {
     generate(&elsewhere, Request::new(&on_gpu)).unwrap();
 
     let manifest = Manifest::read(&on_gpu).unwrap();
-    assert_eq!(manifest.arguments.device.as_deref(), Some(elsewhere.device.kind()));
+    assert_eq!(manifest.arguments.others["device"].as_str(), Some(elsewhere.device.kind()));
     let scene = &manifest.scenes[0];
     for frame in 0..=scene.pairs {
         let [here, there] = [&on_cpu, &on_gpu].map(|dir| manifest.frame_files(dir, scene, frame));

@@ -27,8 +27,7 @@ static MADE: LazyLock<Made> = LazyLock::new(|| {
     let settings = CaptureSettings {
         cameras: 3,
         timesteps: 8,
-        width: 110,
-        height: 160,
+        size: srflow_core::Size { width: 110, height: 160 },
         seed: 3,
         ..CaptureSettings::default()
     };

@@ -30,8 +30,7 @@ fn generic_pairs_are_those_of_the_files() {
     for textures in [None, Some(photographs)] {
         let settings = ShapesSettings {
             pairs: 5,
-            width: 48,
-            height: 40,
+            size: srflow_core::Size { width: 48, height: 40 },
             seed: 9,
             textures,
             flow_format: FlowFormat::Flo,
@@ -64,9 +63,8 @@ fn rendered_pairs_are_those_of_the_files_in_any_runs() {
         let settings = Settings {
             scenes: 2,
             frames: 5.0,
-            width: 66,
-            height: 96,
-            splits: [1.0, 0.0, 0.0],
+            size: srflow_core::Size { width: 66, height: 96 },
+            splits: srflow_core::Numbers([1.0, 0.0, 0.0]),
             seed: 4,
             flow_format: FlowFormat::Flo,
             ..base

@@ -49,7 +49,8 @@ fn effects_change_frames_alone_and_no_byte_depends_on_how_they_are_rendered() {
         assert_eq!(clean != wild, changes, "{}", path.display());
     }
     assert!(!String::from_utf8_lossy(&fs::read(clean.join("dataset.json")).unwrap()).contains("recording"));
-    assert_eq!(Manifest::read(wild).unwrap().arguments.recording, Recording::wild());
+    let recording = &Manifest::read(wild).unwrap().arguments.others["recording"];
+    assert_eq!(serde_json::from_value::<Recording>(recording.clone()).unwrap(), Recording::wild());
 
     let report = check(wild, &|| {}).unwrap();
     assert!(report.problems.is_empty(), "{:?}", report.problems);
@@ -79,7 +80,7 @@ fn motion_blur_is_centred_at_the_frames_time() {
             motion: MotionSource::Curves,
             ..settings(recording)
         };
-        render(dir, &Settings { frames: 4.0, width: 330, height: 480, seed: 8, regions: false, ..base }, 2);
+        render(dir, &Settings { frames: 4.0, size: srflow_core::Size { width: 330, height: 480 }, seed: 8, regions: false, ..base }, 2);
     }
     let mut longest: f64 = 0.0;
     for frame in 1..4 {

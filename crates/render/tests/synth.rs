@@ -18,9 +18,9 @@ use tree::contents;
 fn settings() -> SynthSettings {
     SynthSettings {
         subjects: 1,
-        clips_per_subject: 3,
+        clips: 3,
         side: 64,
-        frames_per_second: 25.0,
+        fps: 25.0,
         ..SynthSettings::default()
     }
 }
@@ -92,7 +92,7 @@ fn a_set_is_whole_and_the_same_however_it_is_made() {
 #[test]
 fn without_disturbance_only_the_expression_moves() {
     let folder = tempfile::tempdir().unwrap();
-    let still = SynthSettings { noise: 0.0, drift: 0.0, lighting: 0.0, clips_per_subject: 1, ..settings() };
+    let still = SynthSettings { noise: 0.0, drift: 0.0, lighting: 0.0, clips: 1, ..settings() };
     make(&still, folder.path(), 2).unwrap();
     let dataset =
         ClipDataset::open(&format!("clips:{}", folder.path().display()).parse().unwrap(), false).unwrap();
@@ -130,5 +130,5 @@ fn another_folder_is_left_alone() {
     )
     .unwrap();
     let error = make(&settings(), &set, 1).unwrap_err().to_string();
-    assert!(error.contains("seed 9, requested is 1") && error.contains("--force"), "{error}");
+    assert!(error.contains("seed 9, requested is 1") && error.contains("`force`"), "{error}");
 }

@@ -37,7 +37,7 @@ pub use pictures::DEPTH_UNITS_PER_METRE;
 pub(crate) use pictures::write_alpha;
 pub use rig::{CANONICAL_CAMERA, FULL_SIZE, Rig, View};
 pub(crate) use scene::{Action, Views, record, unit_name};
-pub use settings::Settings;
+pub use settings::{Settings, with_flat_recording};
 pub(crate) use settings::{fingerprint, list_files};
 #[cfg(feature = "clap")]
 pub(crate) use settings::{flow_format_help, head_help};

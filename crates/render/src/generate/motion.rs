@@ -25,10 +25,6 @@ pub enum MotionSource {
 }
 
 impl MotionSource {
-    pub(super) fn is_curves(&self) -> bool {
-        *self == Self::Curves
-    }
-
     /// Whether it is in files, an avatar's own or others.
     pub(crate) fn is_of_files(&self) -> bool {
         matches!(self, Self::Own | Self::Recorded(_))

@@ -59,7 +59,6 @@ pub struct Settings {
     pub depth: bool,
     /// Also write region maps: whether a pixel shows skin, eyes, mouth, hair or neck
     #[arg(long)]
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub regions: bool,
     /// Background: white, black, #rrggbb, `procedural` (rooms, textures, gradients, lights), or a folder of images
     #[arg(long, value_name = "COLOUR|DIR", default_value_t = Self::default().background)]
@@ -67,16 +66,14 @@ pub struct Settings {
     /// Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (with micro-expressions, small and large),
     /// `own` (the one that an avatar was trained on), or a flame_param.npz or capture of another subject with the same kind of head
     #[arg(long, value_name = "MOTION", default_value_t = Self::default().motion)]
-    #[serde(skip_serializing_if = "MotionSource::is_curves")]
     pub motion: MotionSource,
     /// Device to rasterize on
     #[arg(long, value_name = "DEVICE", default_value_t = Self::default().device)]
-    #[serde(skip_serializing_if = "Device::is_cpu")]
     pub device: Device,
     /// Imaging effects on the frames
     // Last: its heading holds for all that follow.
     #[command(flatten)]
-    #[serde(skip_serializing_if = "Recording::is_none")]
+    #[serde(flatten)]
     pub recording: Recording,
 }
 
@@ -171,7 +168,8 @@ impl Settings {
     /// Names the arguments of the manifest that `srflow render` would not accept.
     pub(crate) fn of(manifest: &Manifest) -> Result<(Self, Manifest), String> {
         let arguments = &manifest.arguments;
-        let mut settings = arguments.settings().map_err(|error| error.to_string())?;
+        let settings = arguments.settings().map_err(|error| error.to_string())?;
+        let mut settings = with_flat_recording(settings)?;
         // What is in files is known by its fingerprint alone, and a device may be one that this build lacks.
         let mut text = |field: &str| settings.as_object_mut().and_then(|settings| settings.remove(field));
         let [head, background, motion, _] = ["head", "background", "motion", "device"].map(&mut text);
@@ -280,9 +278,10 @@ impl Settings {
         Ok(())
     }
 
-    /// The settings as `dataset.json` holds them: all that determine the bytes, with fingerprints in place of folders.
+    /// The settings as `dataset.json` holds them: all that determine the bytes, with fingerprints in place of folders. What is off
+    /// by default is left out where it is off, as in datasets of before there was such a setting.
     fn arguments(&self) -> Result<Arguments, RenderError> {
-        let mut settings = serde_json::json!(self);
+        let mut settings = with_nested_recording(serde_json::json!(self));
         settings["head"] = head::recorded(&self.head)?.into();
         if let Background::Images(dir) = &self.background {
             settings["background"] = format!("images, {}", fingerprint(&background::images(dir)?)).into();
@@ -290,12 +289,48 @@ impl Settings {
         if let MotionSource::Recorded(path) = &self.motion {
             settings["motion"] = format!("recorded, {}", fingerprint(&files_at(path, "motion")?)).into();
         }
-        if !self.device.is_cpu() {
-            settings["device"] = self.device.kind().into();
+        settings["device"] = self.device.kind().into();
+        let off = [
+            ("motion", self.motion == MotionSource::Curves),
+            ("device", self.device.is_cpu()),
+            (RECORDING, self.recording.is_none()),
+        ];
+        if let Some(settings) = settings.as_object_mut() {
+            settings.retain(|name, _| !off.contains(&(name, true)));
         }
-        Arguments::of_settings(settings, self.size)
-            .map_err(|error| RenderError::Malformed { path: MANIFEST_NAME.into(), reason: error.to_string() })
+        Arguments::of_settings(settings, self.size).map_err(|error| RenderError::Malformed {
+            path: MANIFEST_NAME.into(),
+            reason: error.to_string(),
+        })
     }
+}
+
+/// The settings of imaging effects in files, where they are a group.
+const RECORDING: &str = "recording";
+
+/// Moves imaging effects into their group.
+fn with_nested_recording(mut settings: Value) -> Value {
+    let Value::Object(all) = &mut settings else { return settings };
+    let Value::Object(effects) = serde_json::json!(Recording::wild()) else { return settings };
+    let group = effects.keys().filter_map(|name| all.remove_entry(name)).collect();
+    all.insert(RECORDING.to_owned(), Value::Object(group));
+    settings
+}
+
+/// Moves imaging effects out of their group.
+///
+/// # Errors
+/// When the group has something else in it.
+pub fn with_flat_recording(mut settings: Value) -> Result<Value, String> {
+    if let Some(all) = settings.as_object_mut()
+        && let Some(group) = all.remove(RECORDING)
+    {
+        let recording: Recording = serde_json::from_value(group).map_err(|error| format!("{RECORDING}: {error}"))?;
+        if let Value::Object(effects) = serde_json::json!(recording) {
+            all.extend(effects);
+        }
+    }
+    Ok(settings)
 }
 
 /// Names and sizes of the files in a folder, sorted by name.

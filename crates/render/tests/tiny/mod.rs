@@ -7,9 +7,8 @@ pub fn settings() -> Settings {
     Settings {
         scenes: 1,
         frames: 3.0,
-        width: 110,
-        height: 160,
-        splits: [1.0, 0.0, 0.0],
+        size: srflow_core::Size { width: 110, height: 160 },
+        splits: srflow_core::Numbers([1.0, 0.0, 0.0]),
         seed: 4,
         ..Settings::default()
     }

@@ -11,7 +11,7 @@ use srflow_read::flow::DatasetError;
 /// `OSError` or one of its classes where the operating system refused something, else `ValueError`.
 pub fn exception(error: impl Into<anyhow::Error>) -> PyErr {
     let error = error.into();
-    let text = srflow::in_words(&error);
+    let text = srflow::error::in_words(&error);
     match error.chain().find_map(kind) {
         Some(kind) => io::Error::new(kind, text).into(),
         None => PyValueError::new_err(text),

@@ -31,7 +31,7 @@ impl FaceFinder {
     #[new]
     #[pyo3(signature = (models: "str | os.PathLike[str] | None" = None) -> "FaceFinder")]
     fn new(py: Python<'_>, models: Option<PathBuf>) -> PyResult<Self> {
-        let named = || std::env::var_os(srflow::FACE_MODELS_VARIABLE).map(PathBuf::from);
+        let named = || std::env::var_os(srflow::face::FACE_MODELS_VARIABLE).map(PathBuf::from);
         let Some(models) = models.or_else(named).or_else(|| installed(py)) else {
             return Err(PyFileNotFoundError::new_err(format!(
                 "models: expected {MODEL_SOURCES}; none is named, and mediapipe is not installed"

@@ -28,7 +28,7 @@ static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
 #[pyfunction]
 #[pyo3(signature = (arguments: "list[str]") -> "int")]
 fn run(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
-    py.detach(|| srflow::run(arguments))
+    py.detach(|| srflow_cli::run(arguments))
 }
 
 #[pymodule]
@@ -46,7 +46,7 @@ mod _srflow {
     #[pymodule_export]
     use super::gaussians::Gaussians;
     #[pymodule_export]
-    use super::jobs::{render, train};
+    use super::jobs::run_job;
     #[pymodule_export]
     use super::methods::{Network, Sequence, flow};
     #[pymodule_export]

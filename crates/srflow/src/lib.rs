@@ -52,12 +52,14 @@ pub mod rendering;
 #[doc(hidden)]
 pub mod scoring;
 pub mod shapes;
+mod table;
 #[doc(hidden)]
 pub mod video;
 mod watch;
 
 pub use error::{Error, ErrorKind};
 pub use job::{Job, Report, WhenStopped};
+pub use table::{Done, Entry, JOBS};
 pub use watch::{Progress, Watch};
 
 #[doc(inline)]

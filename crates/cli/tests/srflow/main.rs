@@ -31,6 +31,7 @@ mod mer_run;
 mod metrics_and_convert;
 mod models;
 mod pack;
+mod python_jobs;
 mod ranks;
 mod rasterize;
 mod render_check;

@@ -1,0 +1,122 @@
+//! The table of jobs, for front ends that treat all alike, such as Python.
+
+use serde_json::{Map, Value};
+
+use crate::error::WrongSettings;
+use crate::{Error, Job, Report, Watch, avatar, mer, merge, render, shapes};
+
+/// A job that is known by its name.
+pub struct Entry {
+    /// The words of its command, e.g. `mer run`.
+    pub name: &'static str,
+    /// Runs it with settings as JSON; others have their defaults.
+    run: fn(Map<String, Value>, &Watch) -> Result<Done, Error>,
+    /// Its settings as the options of a command.
+    #[cfg(feature = "clap")]
+    pub command: fn() -> ::clap::Command,
+}
+
+/// The report of a job of the table.
+pub struct Done {
+    /// As the command prints it with `--json`.
+    pub report: Value,
+    /// As the command prints it.
+    pub text: String,
+}
+
+macro_rules! jobs {
+    ($($job:ty),+ $(,)?) => {
+        /// All jobs.
+        pub static JOBS: &[Entry] = &[$(Entry {
+            name: <$job as Job>::NAME,
+            run: run::<$job>,
+            #[cfg(feature = "clap")]
+            command: command::<$job>,
+        }),+];
+    };
+}
+
+jobs![
+    render::RenderJob,
+    shapes::ShapesJob,
+    merge::MergeJob,
+    avatar::capture::CaptureJob,
+    mer::synth::SynthJob,
+];
+
+impl Entry {
+    /// The job of this name.
+    pub fn named(name: &str) -> Option<&'static Self> {
+        JOBS.iter().find(|entry| entry.name == name)
+    }
+
+    /// Runs the job.
+    ///
+    /// # Errors
+    /// A setting that is unknown, missing or wrong, by its name; or those of [`Job::run`].
+    pub fn run(&self, settings: Map<String, Value>, watch: &Watch) -> Result<Done, Error> {
+        #[cfg(feature = "clap")]
+        self.check_names(&settings)?;
+        (self.run)(settings, watch)
+    }
+
+    #[cfg(feature = "clap")]
+    fn check_names(&self, settings: &Map<String, Value>) -> Result<(), Error> {
+        let command = (self.command)();
+        let known: Vec<&str> = command.get_arguments().map(|argument| argument.get_id().as_str()).collect();
+        match settings.keys().find(|name| !known.contains(&name.as_str())) {
+            None => Ok(()),
+            Some(name) => {
+                let known = known.join(", ");
+                Err(anyhow::Error::from(WrongSettings(format!("no setting is called `{name}`; {known}"))).into())
+            }
+        }
+    }
+}
+
+fn run<J: Job>(settings: Map<String, Value>, watch: &Watch) -> Result<Done, Error> {
+    let mut job: J = read(settings.clone())?;
+    if let Some(Value::Object(mut all)) = job.preset_defaults() {
+        all.extend(settings);
+        job = read(all)?;
+    }
+    let report = job.run(watch)?;
+    Ok(Done { report: serde_json::to_value(&report).map_err(anyhow::Error::from)?, text: report.to_string() })
+}
+
+fn read<J: Job>(settings: Map<String, Value>) -> Result<J, Error> {
+    serde_json::from_value(Value::Object(settings))
+        .map_err(|error| anyhow::Error::from(WrongSettings(error.to_string())).into())
+}
+
+#[cfg(feature = "clap")]
+fn command<J: Job + ::clap::Args>() -> ::clap::Command {
+    J::augment_args(::clap::Command::new(J::NAME))
+}
+
+#[cfg(all(test, feature = "clap"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_job_has_a_valid_command_of_its_own_name() {
+        for (place, entry) in JOBS.iter().enumerate() {
+            (entry.command)().debug_assert();
+            assert!(JOBS[..place].iter().all(|other| other.name != entry.name), "{}", entry.name);
+        }
+    }
+
+    #[test]
+    fn unknown_and_wrong_settings_are_named() {
+        let refused = |settings: Value| {
+            let Value::Object(settings) = settings else { unreachable!("an object is given") };
+            Entry::named("render").and_then(|entry| entry.run(settings, &Watch::SILENT).err()).map(|e| e.to_string())
+        };
+        let error = refused(serde_json::json!({ "out": "/nowhere", "scense": 3 })).expect("refused");
+        assert!(error.contains("`scense`") && error.contains("scenes"), "{error}");
+        let error = refused(serde_json::json!({ "scenes": 3 })).expect("refused");
+        assert!(error.contains("out"), "{error}");
+        let error = refused(serde_json::json!({ "out": "/nowhere", "size": "12" })).expect("refused");
+        assert!(error.contains("WIDTHxHEIGHT"), "{error}");
+    }
+}

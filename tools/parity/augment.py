@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Golden data of srflow-read's augmentation: torchvision's changes of colour and OpenCV's resize.
+"""Golden data of srflow-train's augmentation: torchvision's changes of colour and OpenCV's resize.
 
-Writes crates/read/tests/data/augment/. Made with torchvision 0.26.0 over Pillow 13.0.0, and OpenCV 4.13.0:
+Writes crates/train/tests/data/augment/. Made with torchvision 0.26.0 over Pillow 13.0.0, and OpenCV 4.13.0:
 
     tools/parity/augment.py
 
@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 from torchvision.transforms import functional as F
 
-DATA = Path(__file__).resolve().parents[2] / "crates/read/tests/data/augment"
+DATA = Path(__file__).resolve().parents[2] / "crates/train/tests/data/augment"
 CHANGES = {
     "brightness": F.adjust_brightness,
     "contrast": F.adjust_contrast,

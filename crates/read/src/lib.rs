@@ -1,6 +1,5 @@
-//! Reads optical-flow and micro-expression datasets, and applies the random changes of training to samples.
+//! Readers of optical-flow and micro-expression datasets.
 
-pub mod augment;
 pub mod flow;
 pub mod manifest;
 pub mod micro_expression;

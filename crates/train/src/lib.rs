@@ -1,6 +1,7 @@
 //! Trains optical flow networks: losses, the paper's regularizers for skin, trainer, exact resume, ablation.
 
 pub mod ablation;
+pub mod augment;
 pub mod batch;
 pub mod checkpoint;
 pub mod config;

@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use srflow_core::Size;
 use srflow_core::random::Key;
-use srflow_read::augment::{AugmentError, Augmentation};
+use crate::augment::{AugmentError, Augmentation};
 use srflow_read::flow::{
     DatasetError, DatasetSpec, Entry, FlowDataset, MadeError, MadePairs, Sample, Split, TruthDensity,
 };

@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 use srflow_core::Size;
-use srflow_read::augment::AugmentConfig;
+use crate::augment::AugmentConfig;
 use srflow_read::flow::TruthDensity;
 
 /// Random augmentation of the training samples. Probabilities are in `0..=1`.

@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::AugmentError;
-use crate::flow::TruthDensity;
+use srflow_read::flow::TruthDensity;
 
 /// Random changes to a training sample.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

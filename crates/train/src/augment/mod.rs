@@ -18,7 +18,7 @@ use srflow_core::{FlowField, Mask, SizeMismatch};
 
 pub use config::AugmentConfig;
 
-use crate::flow::{Sample, TruthDensity};
+use srflow_read::flow::{Sample, TruthDensity};
 use color::ColorJitter;
 use geometry::Geometry;
 use hue::HueTables;

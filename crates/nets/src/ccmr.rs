@@ -12,7 +12,7 @@ use srflow_ops::concatenate;
 use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::correlation::tensor::Correlation;
 
-use crate::MemoryNeed;
+use crate::memory_need::MemoryNeed;
 use crate::blocks::{
     Attending, Block, ConvexMask, CrossCovariance, Divided, EncoderConfig, FlowHead, Grids, MotionEncoder,
     Norm, NormKind, SepConvGru, Strips, convex_mask_by, convex_upsample_of_strips, encoder_conv, resize,
@@ -25,7 +25,7 @@ use crate::frames::Frames;
 use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::pixel_grid;
 use crate::settings::{Allowed, Setting};
-use crate::table::{Entry, FlowNetwork};
+use crate::network::{Entry, FlowNetwork};
 
 /// Side of a pixel of the coarsest level in pixels of the frame.
 const COARSEST_STRIDE: usize = 16;

@@ -1,6 +1,5 @@
 //! Facts about networks: names, sources, needs and abilities.
 
-use crate::onnx::Export;
 use crate::{LaplaceMixture, MemoryNeed};
 
 /// Facts about a network.
@@ -59,8 +58,6 @@ pub struct Facts {
     pub published: &'static [PublishedWeights],
     /// The file of weights that comes with srflow, if there is one.
     pub included: Option<&'static [u8]>,
-    /// Its graph of ONNX; see [`save_network_onnx`](crate::save_network_onnx).
-    pub(crate) onnx: Option<Export>,
 }
 
 /// Common numbers of refinement iterations; 1 for a network without refinement.
@@ -157,7 +154,6 @@ impl Facts {
         lookalikes: &[],
         published: &[],
         included: None,
-        onnx: None,
     };
 }
 

@@ -13,7 +13,7 @@ use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
 use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::{self, Encoders, Recurrent, Refined};
-use crate::table::Entry;
+use crate::network::Entry;
 
 pub(crate) const GMA: Entry<Gma> = Entry {
     facts: Facts {

@@ -13,7 +13,7 @@ use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::{self, Encoders, Recurrent, Refined};
 use crate::settings::{Allowed, Setting};
 use crate::skflow::{SkFlow, UpdateBlock};
-use crate::table::Entry;
+use crate::network::Entry;
 
 pub(crate) const MEMFLOW: Entry<MemFlow> = Entry {
     facts: Facts {

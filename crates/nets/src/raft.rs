@@ -3,16 +3,15 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
-use crate::MemoryNeed;
+use crate::memory_need::MemoryNeed;
 use crate::blocks::{
     ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru, convex_mask_by,
     convex_upsample, window_entries,
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
-use crate::onnx;
 use crate::recurrent::{self, Encoders, Recurrent, Refined, STRIDE};
-use crate::table::Entry;
+use crate::network::Entry;
 
 /// Channels of the hidden state, and of the context.
 pub(crate) const HIDDEN: usize = 128;
@@ -35,7 +34,6 @@ pub(crate) const RAFT: Entry<Raft> = Entry {
             ptlflow!("raft", "sintel", "fb44381e"),
             ptlflow!("raft", "kitti", "3a831a4b"),
         ],
-        onnx: Some(onnx::raft),
         ..recurrent::FACTS
     },
     init: Raft::new,

@@ -4,16 +4,15 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
-use crate::MemoryNeed;
+use crate::memory_need::MemoryNeed;
 use crate::blocks::{
     ConvGru, Encoder, EncoderConfig, FlowHead, NormKind, SmallMotionEncoder, bilinear_upsample,
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, ptlflow};
-use crate::onnx;
 use crate::raft::RAFT;
 use crate::recurrent::{Encoders, Recurrent, Refined, STRIDE};
-use crate::table::Entry;
+use crate::network::Entry;
 
 /// Channels of the hidden state.
 pub(crate) const HIDDEN: usize = 96;
@@ -29,7 +28,6 @@ pub(crate) const RAFT_SMALL: Entry<RaftSmall> = Entry {
         parameters: 990_162,
         memory: MemoryNeed { fixed: 125_000_000, per_pixel: 235, attending: 0, most_weights: 0 },
         published: &[ptlflow!("raft_small", "things", "b7d9f997")],
-        onnx: Some(onnx::raft_small),
         ..RAFT.facts
     },
     init: RaftSmall::new,

@@ -14,10 +14,9 @@ use crate::blocks::{
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
-use crate::onnx;
 use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::{self, Encoders, Recurrent, Refined};
-use crate::table::Entry;
+use crate::network::Entry;
 
 /// Depthwise kernel sizes of the motion encoder and the flow head.
 const KERNELS: [usize; 2] = [1, 15];
@@ -40,7 +39,6 @@ pub(crate) const SKFLOW: Entry<SkFlow> = Entry {
             ptlflow!("skflow", "sintel", "98fb67cf"),
             ptlflow!("skflow", "kitti", "4e1f8b63"),
         ],
-        onnx: Some(onnx::skflow),
         ..recurrent::FACTS
     },
     init: SkFlow::new,

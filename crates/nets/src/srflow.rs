@@ -24,15 +24,14 @@ use srflow_ops::space_to_depth::tensor::space_to_depth;
 use srflow_ops::upsample::tensor::convex_upsample;
 use srflow_ops::warp::tensor::warp_replicated;
 
-use crate::MemoryNeed;
+use crate::memory_need::MemoryNeed;
 use crate::blocks::{Grids, resize, resize_flow};
 use crate::estimate::{Estimate, LaplaceMixture, Request};
 use crate::facts::{Facts, IterationPresets, Start};
 use crate::features::Features;
 use crate::frames::{Border, Frames};
-use crate::onnx;
 use crate::settings::{Allowed, Setting};
-use crate::table::{Entry, FlowNetwork};
+use crate::network::{Entry, FlowNetwork};
 
 /// Pixels of the frame per pixel of the map that is corrected, along each axis: a cell.
 pub(crate) const STRIDE: usize = 2;
@@ -94,7 +93,6 @@ pub(crate) const SRFLOW: Entry<SrFlow> = Entry {
         in_ptlflow: false,
         included: Some(include_bytes!("../weights/srflow.safetensors")),
         licence: "MIT OR Apache-2.0",
-        onnx: Some(onnx::srflow),
         ..Facts::DEFAULT
     },
     init: SrFlow::new,

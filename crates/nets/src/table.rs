@@ -1,4 +1,4 @@
-//! The table of networks, at the end of this file. To add a network, add a file with an [`Entry`] for each of its names, and a
+//! The table of networks, at the end of this file. To add a network, add a file with an [`Entry`](crate::network::Entry) for each of its names, and a
 //! line here for each. Names, facts, dispatch, memory needs, the list of `srflow models` and the parity tests follow from it.
 
 use burn::module::Module;
@@ -8,47 +8,12 @@ use crate::estimate::{Encoded, Estimate, Request};
 use crate::facts::{Facts, Padding};
 use crate::features::Features;
 use crate::frames::Frames;
+use crate::network::FlowNetwork;
 use crate::settings::{Setting, SettingError, set};
 use crate::{
     ccmr, dpflow, flownet, flownet3, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow,
     srflow, ssa, unimatch,
 };
-
-/// An entry of the table.
-pub(crate) struct Entry<N> {
-    pub(crate) facts: Facts,
-    /// See [`Architecture::init`].
-    pub(crate) init: fn(&Device) -> N,
-}
-
-/// Interface of all networks. Those that refine flow like RAFT implement [`Recurrent`](crate::recurrent::Recurrent) instead.
-pub(crate) trait FlowNetwork {
-    /// See [`Network::features`].
-    fn features(&self, frames: Tensor<4>) -> Features;
-
-    /// See [`Network::forward`].
-    fn forward(&self, frames: Frames, request: &Request) -> Estimate;
-
-    /// See [`Network::encode`].
-    fn encode(&self, _frames: Frames) -> Option<Encoded> {
-        None
-    }
-
-    /// See [`Network::padding`]; `None` for that of [`Facts::padding`].
-    fn padding(&self) -> Option<Padding> {
-        None
-    }
-
-    /// See [`Network::levels`].
-    fn levels(&self, _size: [usize; 2]) -> Option<usize> {
-        None
-    }
-
-    /// See [`Network::settings`].
-    fn settings(&mut self) -> Vec<Setting<'_>> {
-        Vec::new()
-    }
-}
 
 macro_rules! networks {
     ($($variant:ident($network:ty) = $entry:path,)*) => {

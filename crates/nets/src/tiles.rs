@@ -9,11 +9,10 @@ use srflow_core::{
 };
 
 use crate::Padding;
+use crate::memory_need::MemoryNeed;
 
 /// Smallest side of tiles with a fixed size.
 pub const SMALLEST_TILE_SIDE: usize = 128;
-/// Side of a coarse pixel, between which attention is computed, in pixels.
-const ATTENTION_STRIDE: usize = 8;
 /// Share of an overlap, at the edge of each tile, where the weight of that tile is zero.
 const MARGIN: f32 = 1.0 / 8.0;
 
@@ -35,35 +34,6 @@ pub enum TileSize {
     Fixed(usize, usize),
     /// The fewest equal and roughly square tiles that fit in this much memory.
     Fitting { need: MemoryNeed, bytes: u64 },
-}
-
-/// Peak memory for estimating flow, in addition to that of the program itself, in bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct MemoryNeed {
-    pub fixed: u64,
-    /// Bytes per pixel of a frame.
-    pub per_pixel: u64,
-    /// Pairs of frames with attention between all coarse pixels, 4 bytes per weight; 0 without attention.
-    pub attending: u64,
-    /// Limit on the bytes of attention weights.
-    pub most_weights: u64,
-}
-
-impl MemoryNeed {
-    /// Bytes for a frame or tile of this many pixels.
-    pub fn bytes(&self, pixels: usize) -> u64 {
-        let pixels = pixels as u64;
-        let coarse = pixels.div_ceil((ATTENTION_STRIDE * ATTENTION_STRIDE) as u64);
-        let weights = self.attending.saturating_mul(4).saturating_mul(coarse.saturating_mul(coarse));
-        let each = self.per_pixel.saturating_mul(pixels);
-        self.fixed.saturating_add(each).saturating_add(weights.min(self.most_weights))
-    }
-
-    /// The need for a batch of this many pairs.
-    pub fn of_batch(&self, pairs: usize) -> Self {
-        let times = |bytes: u64| bytes.saturating_mul(pairs as u64);
-        Self { per_pixel: times(self.per_pixel), attending: times(self.attending), ..*self }
-    }
 }
 
 /// The tiles of a frame, all of one size.

@@ -20,7 +20,7 @@ use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::pointwise::tensor::pointwise_layers;
 use srflow_ops::warp::tensor::warp;
 
-use crate::MemoryNeed;
+use crate::memory_need::MemoryNeed;
 use crate::blocks::{
     ConvexMask, Encoder, EncoderConfig, bilinear_upsample, convex_mask_by, unscaled_convex_upsample,
 };
@@ -31,7 +31,7 @@ use crate::frames::{Border, Frames};
 use crate::raft::{HIDDEN, UpdateBlock};
 use crate::recurrent::pixel_grid;
 use crate::settings::{Allowed, Setting};
-use crate::table::{Entry, FlowNetwork};
+use crate::network::{Entry, FlowNetwork};
 
 /// Channels of the features.
 const CHANNELS: usize = 128;

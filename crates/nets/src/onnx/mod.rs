@@ -1,6 +1,6 @@
 //! Networks as files of ONNX, for onnxruntime and other programs: the whole way from two frames to the flow in one graph.
 //!
-//! A network is a function that adds its operators to a [`Graph`], named in its [`Facts`](crate::Facts). Parameters keep the names of the
+//! A network is a function that adds its operators to a [`Graph`], with a line in [`export_of`]. Parameters keep the names of the
 //! reference implementation. `tests/onnx.rs` compares every graph, as onnxruntime runs it, with the network itself.
 
 mod graph;
@@ -25,18 +25,24 @@ use crate::table::{Architecture, Network};
 use graph::{Axis, Graph, Length, Sides, Value};
 use proto::{ModelProto, OperatorSetIdProto, StringStringEntryProto};
 
-pub(crate) use raft::raft;
-pub(crate) use raft_small::raft_small;
-pub(crate) use skflow::skflow;
-pub(crate) use srflow::srflow;
-
 /// Version of ONNX's operators, which onnxruntime has since 1.12 (2022). Sampling needs 16.
 const OPERATORS: i64 = 17;
 /// Version of the format of files that came with it.
 const FORMAT: i64 = 8;
 
 /// Adds the operators of a network to a graph, with so many iterations.
-pub(crate) type Export = fn(&mut Graph, &Pair, usize);
+type Export = fn(&mut Graph, &Pair, usize);
+
+/// The graph of a network; `None` where there is none.
+fn export_of(architecture: Architecture) -> Option<Export> {
+    Some(match architecture {
+        Architecture::SrFlow => srflow::srflow,
+        Architecture::Raft => raft::raft,
+        Architecture::RaftSmall => raft_small::raft_small,
+        Architecture::SkFlow => skflow::skflow,
+        _ => return None,
+    })
+}
 
 /// What is written; see [`save_network_onnx`].
 #[derive(Debug, Clone, Copy)]
@@ -67,7 +73,7 @@ const LONGEST_SIDE: usize = 1 << 16;
 impl Architecture {
     /// Whether [`save_network_onnx`] has its graph.
     pub fn exports_to_onnx(self) -> bool {
-        self.facts().onnx.is_some()
+        export_of(self).is_some()
     }
 }
 
@@ -95,7 +101,7 @@ pub fn save_network_onnx(network: &Network, options: OnnxOptions, path: &Path) -
 
 fn onnx_bytes(network: &Network, options: OnnxOptions) -> Result<Vec<u8>, OnnxError> {
     let facts = network.architecture().facts();
-    let export = facts.onnx.ok_or(OnnxError::NotExported { network: facts.name })?;
+    let export = export_of(network.architecture()).ok_or(OnnxError::NotExported { network: facts.name })?;
     if let Some(size) = options.size.filter(|size| size.width.max(size.height) > LONGEST_SIDE) {
         return Err(OnnxError::TooLarge { size });
     }

@@ -3,6 +3,7 @@
 mod camera_path;
 mod colmap;
 mod file;
+mod formats;
 mod gaussian_splatting;
 mod nersemble;
 mod orbit;
@@ -14,7 +15,8 @@ mod tests;
 
 use glam::{DMat3, DMat4, DVec2, DVec3};
 
-pub use file::{NamedCamera, read_cameras};
+pub use file::NamedCamera;
+pub use formats::read_cameras;
 pub use orbit::Surroundings;
 
 use crate::CameraError;

@@ -18,7 +18,9 @@ pub fn start(mpi: bool) -> anyhow::Result<Box<dyn Communicator>> {
     #[cfg(feature = "mpi")]
     return Ok(Box::new(srflow_train::mpi::World::start(|name| std::env::var(name).ok())?));
     #[cfg(not(feature = "mpi"))]
-    wrong_usage!("--mpi: this srflow was built without MPI; build it with --features mpi (docs/training.md)");
+    wrong_usage!(
+        "--mpi: this srflow was built without MPI; build it with --features mpi (docs/guides/train.md)"
+    );
 }
 
 /// Ends all processes after an error, which the one that has it prints before any ends: launchers stop the others at the first that

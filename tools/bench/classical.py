@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 
 import cv2
+import history
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,6 +46,7 @@ def main():
     parser.add_argument("--frame", help="an image in place of the made texture")
     parser.add_argument("--methods", nargs="+", default=["farneback", "tvl1"])
     parser.add_argument("--srflow", default=str(ROOT / "target/release/srflow"))
+    history.add_option(parser)
     args = parser.parse_args()
     width, height = map(int, args.size.split("x"))
     cv2.setNumThreads(args.threads)
@@ -71,6 +73,9 @@ def main():
             distance = np.linalg.norm(np.load(folder / "flow.npy") - expected, axis=-1).mean()
         us, them = statistics.median(ours), statistics.median(theirs)
         print(f"{method:10} srflow {us:7.3f} s   OpenCV {them:7.3f} s   {them / us:5.1f} times   mean distance {distance:.5f} px", flush=True)
+        if args.record:
+            note = f"s; {method} at {args.size}; OpenCV {cv2.__version__}; mean distance {distance:.5f} px"
+            history.append("classical", us, them, note)
 
 
 if __name__ == "__main__":

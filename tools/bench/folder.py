@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 import cv2
+import history
 import numpy as np
 from classical import ROOT, frames
 
@@ -38,6 +39,7 @@ def main():
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--srflow", default=str(ROOT / "target/release/srflow"))
+    history.add_option(parser)
     args = parser.parse_args()
     width, height = map(int, args.size.split("x"))
     cv2.setNumThreads(args.threads)
@@ -64,6 +66,9 @@ def main():
     us, them = (statistics.median(seconds) / (args.frames - 1) for seconds in (ours, theirs))
     print(f"{width}x{height}, {args.threads} threads, OpenCV {cv2.__version__}, median of {args.repeats}")
     print(f"srflow {us:.3f} s a pair   OpenCV {them:.3f} s   {them / us:.2f} times")
+    if args.record:
+        note = f"s a pair; farneback over PNGs of {args.size}; OpenCV {cv2.__version__}"
+        history.append("classical", us, them, note)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import history
 import numpy as np
 from weights import SEED, new_model, random_state
 
@@ -118,6 +119,7 @@ def main():
     parser.add_argument("--ours", nargs="+", default=["f32"], choices=["f32", "bf16"])
     parser.add_argument("--theirs", nargs="*", default=["f32"], choices=["f32", "bf16", "compiled", "compiled-bf16"])
     parser.add_argument("--timing", default=str(ROOT / "target/release/examples/timing"), help="our side")
+    history.add_option(parser)
     parser.add_argument("--side", nargs=10, help=argparse.SUPPRESS)
     parser.add_argument("--weights", nargs=2, help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -159,6 +161,12 @@ def main():
                     else:
                         theirs[mode] = None, memory, None
                 table(network, size, ours, theirs)
+                if args.record:
+                    best, mode = min(((result[0], mode) for mode, result in theirs.items() if result[0]), default=(None, None))
+                    peer = f"; PyTorch {mode}" if mode else ""
+                    for precision, (seconds, memory, _) in ours.items():
+                        note = f"s; {network} at {size}; srflow {precision} {memory:.2f} GB{peer}"
+                        history.append("networks", seconds, best, note)
 
 
 def table(network, size, ours, theirs):

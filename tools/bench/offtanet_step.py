@@ -20,6 +20,8 @@ import sys
 import time
 from pathlib import Path
 
+import history
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -65,6 +67,7 @@ def main():
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--program", default=str(ROOT / "target/release/examples/offtanet_step"))
+    history.add_option(parser)
     args = parser.parse_args()
     for name, folds, ours_of, theirs_of in [
         ("one fold", 1, lambda: srflow(args.program, 0, args.cores, args.steps), lambda: pytorch(args.cores, args.steps)),
@@ -84,6 +87,8 @@ def main():
             f"{name}: srflow {ours:.3f} s ({folds / ours:.1f} steps/s), PyTorch {theirs:.3f} s "
             f"({folds / theirs:.1f} steps/s), PyTorch / srflow {theirs / ours:.2f}"
         )
+        if args.record:
+            history.append("recognition", ours, theirs, f"s a step of Off-TANet at batch 64; {name}")
 
 
 if __name__ == "__main__":

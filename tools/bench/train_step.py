@@ -22,6 +22,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import history
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -94,6 +95,7 @@ def main():
         help="autocast to bf16, the block that is iterated compiled by torch.compile, or both",
     )
     parser.add_argument("--set", action="append", default=[], help="passed on to srflow train")
+    history.add_option(parser)
     parser.add_argument("--only", choices=["srflow", "torch"])
     parser.add_argument("--srflow", default=str(ROOT / "target/release/srflow"))
     args = parser.parse_args()
@@ -108,6 +110,10 @@ def main():
         print(f"{name:8} {seconds:8.3f} s/step  {peak / 1e9:6.2f} GB peak")
     if len(results) == 2:
         print(f"ratio    {results['torch'][0] / results['srflow'][0]:8.2f}")
+        if args.record:
+            (us, our_peak), (them, their_peak) = results["srflow"], results["torch"]
+            note = f"s a step of {args.network}; {our_peak / 1e9:.2f} and {their_peak / 1e9:.2f} GB; PyTorch {args.theirs}"
+            history.append("training", us, them, note)
     sys.stdout.flush()
 
 

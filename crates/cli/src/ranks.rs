@@ -19,7 +19,7 @@ pub fn start(mpi: bool) -> anyhow::Result<Box<dyn Communicator>> {
     return Ok(Box::new(srflow_train::mpi::World::start(|name| std::env::var(name).ok())?));
     #[cfg(not(feature = "mpi"))]
     wrong_settings!(
-        "--mpi: this srflow was built without MPI; build it with --features mpi (docs/training.md)"
+        "--mpi: this srflow was built without MPI; build it with --features mpi (docs/guides/train.md)"
     );
 }
 

@@ -37,7 +37,7 @@ pub struct Facts {
     pub remembers: bool,
     /// Peak memory for estimating one pair on a CPU, without parameters and the program itself (100 MB): an upper bound of the
     /// peaks of whole processes at 320x256 to 3840x2160 that `tools/bench/memory.py` measured on two threads (listed in
-    /// `docs/benchmarks.md`). It does not depend on the number of iterations.
+    /// `tools/bench/history/memory.csv`). It does not depend on the number of iterations.
     pub memory: MemoryNeed,
     /// Whether ptlflow has it, under its name with underscores.
     pub in_ptlflow: bool,

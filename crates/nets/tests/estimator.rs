@@ -430,7 +430,7 @@ fn bfloat16_moves_a_trained_flow_little_and_the_same_way_in_a_sequence() {
     }
 }
 
-/// On the device of `SRFLOW_TEST_DEVICE`, at what it multiplies; see docs/devices.md.
+/// On the device of `SRFLOW_TEST_DEVICE`, at what it multiplies; see docs/guides/gpu.md.
 #[test]
 fn sixteen_bits_move_a_trained_flow_little_on_a_device() {
     let Ok(name) = std::env::var("SRFLOW_TEST_DEVICE") else {

@@ -3,7 +3,7 @@
 //!
 //! `tools/parity/nets.py` makes the golden values; its rules for parameters and frames are repeated in `inputs`. Every network of the
 //! table is compared with every file of its name in `tests/golden`, which also stores the settings of the reference.
-//! `SRFLOW_TEST_DEVICE` selects the device (docs/devices.md), `SRFLOW_TEST_NETWORK` a single network.
+//! `SRFLOW_TEST_DEVICE` selects the device (docs/guides/gpu.md), `SRFLOW_TEST_NETWORK` a single network.
 
 mod inputs;
 

@@ -31,7 +31,7 @@ pub struct AdamW {
 pub enum Rounding {
     /// `((1 - beta2) g) g` and `(step mean) / root`: `_single_tensor_adamw` of PyTorch.
     Pytorch,
-    /// `(1 - beta2) (g g)` and `step (mean / root)`: reproduces the classifier results of docs/results.md.
+    /// `(1 - beta2) (g g)` and `step (mean / root)`: reproduces the classifier results of docs/explanation/results.md.
     Grouped,
 }
 

@@ -1,7 +1,7 @@
 //! Every operation and the gradients of all its inputs against those of PyTorch and ptlflow in double precision.
 //!
 //! Golden values: `tools/parity/ops.py`, whose rule for inputs is repeated here. `SRFLOW_TEST_DEVICE` names the device; see
-//! docs/devices.md.
+//! docs/guides/gpu.md.
 
 use std::sync::LazyLock;
 

@@ -61,7 +61,7 @@ pub enum DataError {
 }
 
 const NO_TRUTH_ADVICE: &str = "choose a split whose truth is published, or for a plain folder put a flow beside each pair \
-                               (docs/training.md)";
+                               (docs/guides/train.md)";
 
 /// The training samples of all datasets.
 pub struct TrainingSet {

@@ -27,7 +27,7 @@ Examples:
   srflow device network raft --device vulkan --size 800x512
   srflow device rasterizer --device vulkan --against-cpu
 
-tools/gpu/measure runs all of it and writes a report; see docs/devices.md.")]
+tools/gpu/measure runs all of it and writes a report; see docs/guides/gpu.md.")]
 pub struct DeviceArgs {
     #[command(subcommand)]
     action: Option<Action>,

@@ -16,7 +16,7 @@ use crate::Context;
 /// from 0 to 100.
 ///
 /// --regularizers prints the values of TVR, FDR, MIGAR and IGVAR for this flow with the paper's weights, and how MIGAR and
-/// IGVAR weight the pixels; it needs no truth (docs/losses.md).
+/// IGVAR weight the pixels; it needs no truth (docs/explanation/losses.md).
 #[derive(Args)]
 #[command(after_help = "Examples:
   srflow metrics estimated.flo truth.png --mask head.png --json

@@ -56,7 +56,7 @@ struct Inspect {
 /// A .onnx file holds a whole network with its weights, for onnxruntime and other programs: srflow, raft, raft-small or skflow. Its
 /// inputs are `frame1` and `frame2`, f32 [1, 3, height, width], RGB in 0..255; its output is `flow`, f32 [1, 2, height, width], in
 /// pixels, to the right and down. It takes frames of any size, or with --size of one, and pads and crops itself. srflow also takes
-/// `start`, a flow to start from, and gives `uncertainty`: docs/networks.md.
+/// `start`, a flow to start from, and gives `uncertainty`: docs/reference/networks.md.
 #[derive(Args)]
 #[command(after_help = "Examples:
   srflow models export runs/first/best.safetensors -o raft.ckpt

@@ -229,7 +229,8 @@ impl Thing {
     fn in_folder(dir: &Path) -> anyhow::Result<Self> {
         let has = |name: &str| dir.join(name).is_file();
         let spec = |kind: &str| DatasetSpec { kind: kind.to_owned(), dir: dir.to_owned() };
-        if has("point_cloud.ply") {
+        // A training keeps scores.json beside the avatar of each iteration.
+        if has("point_cloud.ply") || dir.join("point_cloud").is_dir() {
             let text = format!("avatar:{}", dir.display());
             return Ok(Self::Head(text.parse().map_err(anyhow::Error::msg)?));
         }

@@ -1,4 +1,4 @@
-//! `srflow device`, on the CPU; docs/devices.md has the tests of others.
+//! `srflow device`, on the CPU; docs/guides/gpu.md has the tests of others.
 
 use std::process::Output;
 

@@ -180,7 +180,7 @@ fn the_documents_list_the_networks() {
             false => "none".to_owned(),
         };
         let (paper, code) = match facts.paper {
-            "" => ("our own, [below](#srflow)".to_owned(), "here".to_owned()),
+            "" => ("built-in, [explained](../explanation/networks.md#srflow)".to_owned(), "here".to_owned()),
             paper => (format!("[{}]({paper})", facts.title), format!("[{code}]({})", facts.authors)),
         };
         networks += &format!(
@@ -201,8 +201,8 @@ fn the_documents_list_the_networks() {
     let titles: Vec<&str> = published.map(|facts| facts.title).collect();
     let (last, others) = titles.split_last().unwrap();
     let titles = format!("{} and {last}", others.join(", "));
-    is_listed("../../docs/networks.md", "<!-- networks", &networks);
-    is_listed("../../docs/networks.md", "<!-- weights", &weights);
+    is_listed("../../docs/reference/networks.md", "<!-- networks", &networks);
+    is_listed("../../docs/reference/networks.md", "<!-- weights", &weights);
     is_listed("../../README.md", "<!-- networks", &titles);
 }
 

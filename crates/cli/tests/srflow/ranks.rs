@@ -32,7 +32,7 @@ fn a_build_without_mpi_says_so() {
     let out = dir.path().join("run");
     let output =
         crate::srflow().args(arguments(&data, out.to_str().unwrap(), "6")).arg("--mpi").output().unwrap();
-    refuses(&output, 2, &["--features mpi", "docs/training.md"]);
+    refuses(&output, 2, &["--features mpi", "docs/guides/train.md"]);
     assert!(!out.exists());
 }
 

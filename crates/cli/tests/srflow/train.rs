@@ -267,7 +267,7 @@ fn wrong_folders_say_what_to_do() {
 
     write_frames(&dir.path().join("unknown/frames"), 0..3, SIZE);
     let unknown = format!("folder:{}", dir.path().join("unknown").display());
-    refuses(&train(&small(&unknown, &out)), 1, &["true flow", "docs/training.md"]);
+    refuses(&train(&small(&unknown, &out)), 1, &["true flow", "docs/guides/train.md"]);
 
     let pairs = dir.path().join("pairs");
     make_pairs(&pairs, 2);

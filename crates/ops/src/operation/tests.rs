@@ -1,6 +1,6 @@
 //! Every operation, by one test body: its definition's gradients against the slopes of that definition; then outputs and
 //! gradients against the definition, in f64, whether they are computed by the kernel on any number of threads, by the
-//! composition of Burn's operations or by another device, which `SRFLOW_TEST_DEVICE` names; see docs/devices.md.
+//! composition of Burn's operations or by another device, which `SRFLOW_TEST_DEVICE` names; see docs/guides/gpu.md.
 
 use std::sync::LazyLock;
 

@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn the_documentation_lists_the_tables() {
-        let docs = include_str!("../../../../docs/losses.md");
+        let docs = include_str!("../../../../docs/explanation/losses.md");
         let sequence =
             SEQUENCE_LOSSES.iter().map(|loss| format!("| `{}` | {} |\n", loss.name, loss.description));
         let regularizers = REGULARIZERS.iter().map(|entry| {
@@ -167,7 +167,9 @@ mod tests {
         });
         let cyclic = format!("| `{}` | {} |\n", cyclic::NAME, cyclic::DESCRIPTION);
         for rows in [sequence.collect::<String>(), regularizers.collect(), cyclic] {
-            let at = docs.find(&rows).unwrap_or_else(|| panic!("docs/losses.md lacks the rows\n{rows}"));
+            let at = docs
+                .find(&rows)
+                .unwrap_or_else(|| panic!("docs/explanation/losses.md lacks the rows\n{rows}"));
             assert!(docs[..at].ends_with("|\n"), "expected a table header above");
             assert!(!docs[at + rows.len()..].starts_with('|'), "unknown rows below");
         }

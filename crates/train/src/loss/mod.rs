@@ -1,6 +1,6 @@
 //! Training losses: a sequence loss (RAFT's, SKFlow's, SEA-RAFT's) and the paper's four regularizers for skin.
 //!
-//! `docs/losses.md` explains the choices that the paper leaves open (image range, borders, reduction).
+//! `docs/explanation/losses.md` explains the choices that the paper leaves open (image range, borders, reduction).
 
 mod config;
 pub(crate) mod cyclic;

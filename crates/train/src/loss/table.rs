@@ -1,4 +1,4 @@
-//! Entries of the tables of losses, which configuration, ablation, log, `srflow metrics --regularizers` and `docs/losses.md`
+//! Entries of the tables of losses, which configuration, ablation, log, `srflow metrics --regularizers` and `docs/explanation/losses.md`
 //! read. To add a regularizer, add a file with a `REGULARIZER` to this folder, and its name to the list in `config.rs`.
 
 use std::fmt;

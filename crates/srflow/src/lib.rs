@@ -21,6 +21,7 @@
 #![cfg_attr(not(feature = "clap"), allow(dead_code, reason = "parsers of arguments"))]
 
 pub mod avatar;
+pub mod convert;
 #[doc(hidden)]
 pub mod error;
 #[doc(hidden)]
@@ -38,6 +39,7 @@ pub mod mer;
 pub mod merge;
 #[doc(hidden)]
 pub mod methods;
+pub mod metrics;
 #[doc(hidden)]
 pub mod networks;
 #[doc(hidden)]

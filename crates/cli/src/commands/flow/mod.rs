@@ -67,7 +67,7 @@ pub struct Flow {
     #[arg(long, value_name = "OUT", help = ExtraOutput::Occlusion.help())]
     occlusion: Option<PathBuf>,
     /// Length in pixels of the flow with full colour, and the uncertainty with the brightest [default: the largest of each pair]
-    #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = super::convert::positive)]
+    #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = srflow::convert::positive)]
     viz_max: Option<f32>,
     /// Start from this flow (for two frames)
     #[arg(long, value_name = "FLOW")]

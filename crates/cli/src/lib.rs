@@ -23,7 +23,7 @@ mod run;
 mod usage;
 
 use srflow::{
-    face, large_frames, machine, made, methods, networks, opening, posed_head, rendering, scoring, video,
+    face, machine, made, methods, networks, opening, posed_head, rendering, scoring, video,
 };
 
 use std::ffi::OsString;
@@ -72,7 +72,7 @@ enum Command {
     Shapes(srflow::shapes::ShapesJob),
     Pack(commands::pack::Pack),
     Avatar(commands::avatar::Avatar),
-    Flow(commands::flow::Flow),
+    Flow(srflow::flow::FlowJob),
     Train(commands::train::Train),
     Ablation(commands::ablation::Ablation),
     Eval(commands::eval::Eval),
@@ -122,7 +122,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Shapes(args) => run::run(&args, &context),
         Command::Pack(args) => commands::pack::run(args, &context),
         Command::Avatar(args) => commands::avatar::run(args, &context),
-        Command::Flow(args) => commands::flow::run(args, &context),
+        Command::Flow(args) => run::run(&args, &context),
         Command::Train(args) => commands::train::run(args, &context),
         Command::Ablation(args) => commands::ablation::run(args, &context),
         Command::Eval(args) => commands::eval::run(args, &context),

@@ -26,6 +26,7 @@ pub mod convert;
 pub mod error;
 #[doc(hidden)]
 pub mod face;
+pub mod flow;
 mod job;
 #[doc(hidden)]
 pub mod job_engine;

@@ -7,7 +7,6 @@ pub mod demo;
 pub mod device;
 pub mod eval;
 pub mod figure;
-pub mod flow;
 pub mod mer;
 pub mod models;
 pub mod pack;

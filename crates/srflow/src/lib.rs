@@ -22,6 +22,7 @@
 
 pub mod avatar;
 pub mod convert;
+pub mod device;
 #[doc(hidden)]
 pub mod error;
 #[doc(hidden)]
@@ -41,6 +42,7 @@ pub mod merge;
 #[doc(hidden)]
 pub mod methods;
 pub mod metrics;
+pub mod models;
 #[doc(hidden)]
 pub mod networks;
 #[doc(hidden)]
@@ -54,6 +56,7 @@ pub mod render;
 pub mod rendering;
 #[doc(hidden)]
 pub mod scoring;
+pub mod settings;
 pub mod shapes;
 mod table;
 #[doc(hidden)]

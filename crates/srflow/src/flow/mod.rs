@@ -682,3 +682,49 @@ impl Work<'_> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use super::*;
+    use crate::ErrorKind;
+    use crate::settings::from_json;
+
+    fn of_json(method: &str, parameters: &Value) -> Result<Box<dyn FlowEstimator>, Error> {
+        let method = method.parse().map_err(|error| anyhow!(crate::error::WrongSettings(error)))?;
+        let parameters: MethodParameters = from_json(parameters.as_object().unwrap())?;
+        estimator(&method, &parameters, &Watch::SILENT)
+    }
+
+    #[test]
+    fn estimators_have_the_settings_of_the_job() {
+        let none = json!({});
+        assert_eq!(of_json(&MethodSpec::default().to_string(), &none).unwrap().name(), "srflow");
+        let tvl1 = of_json("tvl1", &json!({ "warps": 2, "refine": true }));
+        assert_eq!(tvl1.unwrap().name(), "tvl1");
+        for (method, parameters, message) in [
+            ("pwc", none.clone(), "unknown method `pwc`; the methods are farneback, tvl1, srflow"),
+            ("tvl1", json!({ "wraps": 2 }), "unknown setting `wraps`; the settings are "),
+            ("tvl1", json!({ "warps": "x", "tau": 0.1 }), "`warps`: invalid type: string \"x\""),
+            ("tvl1", json!({ "iters": 0 }), "`iters`: "),
+            ("tvl1", json!({ "iters": 2 }), "`iters` is for networks"),
+            ("tvl1", json!({ "scale": 0 }), "scale 0: expected a factor from 1/64 to 64"),
+            ("raft", none, "raft needs weights"),
+        ] {
+            let error = of_json(method, &parameters).err().unwrap();
+            assert_eq!(error.kind(), ErrorKind::Setting, "{error}");
+            assert!(error.to_string().starts_with(message), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_job_is_its_settings_as_json() {
+        let job = FlowJob { batch: 4, viz_max: Some(20.0), ..FlowJob::new(["a.png", "b.png"], "ab.flo") };
+        let written = serde_json::to_value(&job).unwrap();
+        assert_eq!((&written["method"], &written["format"]), (&json!("srflow"), &json!("flo")));
+        assert_eq!(from_json::<FlowJob>(written.as_object().unwrap()).unwrap(), job);
+        let given = json!({ "frames": ["a.png", "b.png"], "out": "ab.flo", "batch": 4, "viz_max": 20 });
+        assert_eq!(from_json::<FlowJob>(given.as_object().unwrap()).unwrap(), job);
+    }
+}

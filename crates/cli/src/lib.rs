@@ -23,7 +23,7 @@ mod run;
 mod usage;
 
 use srflow::{
-    face, large_frames, machine, made, methods, networks, opening, posed_head, rendering, scoring, video,
+    face, machine, made, methods, networks, opening, posed_head, rendering, scoring, video,
 };
 
 use std::ffi::OsString;
@@ -72,14 +72,14 @@ enum Command {
     Shapes(srflow::shapes::ShapesJob),
     Pack(commands::pack::Pack),
     Avatar(commands::avatar::Avatar),
-    Flow(commands::flow::Flow),
+    Flow(srflow::flow::FlowJob),
     Train(commands::train::Train),
     Ablation(commands::ablation::Ablation),
     Eval(commands::eval::Eval),
     Figure(commands::figure::Figure),
     Mer(commands::mer::Mer),
-    Metrics(commands::metrics::Metrics),
-    Convert(commands::convert::Convert),
+    Metrics(srflow::metrics::MetricsJob),
+    Convert(srflow::convert::ConvertJob),
     Rasterize(commands::rasterize::Rasterize),
     Models(commands::models::Models),
     Device(commands::device::DeviceArgs),
@@ -122,14 +122,14 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Shapes(args) => run::run(&args, &context),
         Command::Pack(args) => commands::pack::run(args, &context),
         Command::Avatar(args) => commands::avatar::run(args, &context),
-        Command::Flow(args) => commands::flow::run(args, &context),
+        Command::Flow(args) => run::run(&args, &context),
         Command::Train(args) => commands::train::run(args, &context),
         Command::Ablation(args) => commands::ablation::run(args, &context),
         Command::Eval(args) => commands::eval::run(args, &context),
         Command::Figure(args) => commands::figure::run(args, &context),
         Command::Mer(args) => commands::mer::run(args, &context),
-        Command::Metrics(args) => commands::metrics::run(args, &context),
-        Command::Convert(args) => commands::convert::run(args, &context),
+        Command::Metrics(args) => run::run(&args, &context),
+        Command::Convert(args) => run::run(&args, &context),
         Command::Rasterize(args) => commands::rasterize::run(args, &context),
         Command::Models(args) => commands::models::run(args, &context),
         Command::Device(args) => commands::device::run(args, &context),

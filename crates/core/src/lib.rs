@@ -34,7 +34,7 @@ pub use grid::{FlowField, Image, Labels, Mask, Plane, SizeError, SizeMismatch};
 pub use landmarks::MEDIAPIPE_OF_DLIB;
 pub use metrics::{MAX_SCORED_FLOW, MeanMetrics, Metrics, ScoreError, score};
 pub use recent::Recent;
-pub use setting::{Numbers, SettingError};
+pub use setting::{Numbers, SettingError, parse_setting};
 pub use shard::Shard;
 pub use size::Size;
 pub use spares::Spares;

@@ -24,7 +24,7 @@ impl SettingError {
     }
 }
 
-/// Serializes types by `Display` and deserializes them by `FromStr`.
+/// Serializes types by `Display` and deserializes them by `FromStr`, from text or a number.
 #[macro_export]
 macro_rules! serialize_as_text {
     ($($type:ty),+ $(,)?) => {
@@ -37,12 +37,31 @@ macro_rules! serialize_as_text {
 
             impl<'de> ::serde::Deserialize<'de> for $type {
                 fn deserialize<D: ::serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-                    let text = <::std::borrow::Cow<'_, str> as ::serde::Deserialize>::deserialize(deserializer)?;
-                    text.parse().map_err(::serde::de::Error::custom)
+                    $crate::parse_setting(deserializer)
                 }
             }
         )+
     };
+}
+
+/// Deserializes text, or a number as it is written, by `FromStr`; for [`serialize_as_text!`](crate::serialize_as_text).
+#[doc(hidden)]
+pub fn parse_setting<'de, T: FromStr<Err: fmt::Display>, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<T, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged, expecting = "expected text or a number")]
+    enum Given {
+        Text(String),
+        Whole(i64),
+        Number(f64),
+    }
+    let text = match Given::deserialize(deserializer)? {
+        Given::Text(text) => text,
+        Given::Whole(number) => number.to_string(),
+        Given::Number(number) => number.to_string(),
+    };
+    text.parse().map_err(D::Error::custom)
 }
 
 /// `N` numbers, written with commas between them or as a list.

@@ -54,13 +54,13 @@ pub enum FaceError {
     )]
     NoFace,
     /// The detector finds several faces, and none was chosen.
-    #[error("{} faces are found, from left to right: {}; choose one by --face-index 1 to {}", .boxes.len(), listed(.boxes), .boxes.len())]
+    #[error("{} faces are found, from left to right: {}; choose one by `face_index` 1 to {}", .boxes.len(), listed(.boxes), .boxes.len())]
     Several {
         /// From left to right.
         boxes: Vec<FaceBox>,
     },
     /// The chosen face is not there.
-    #[error("--face-index {index}: expected 1 to {found}, the number of faces that are found")]
+    #[error("`face_index` {index}: expected 1 to {found}, the number of faces that are found")]
     NoSuchFace {
         /// From 1.
         index: usize,

@@ -54,7 +54,7 @@ impl FaceArgs {
         self.face.is_none() && self.face_box.is_none() && self.landmarks.is_none()
     }
 
-    /// Whether landmarks are found, and not given.
+    /// Whether landmarks are detected, and not given.
     pub fn detects(&self) -> bool {
         self.face.is_some()
     }
@@ -72,7 +72,7 @@ impl FaceArgs {
             (None, None) => match installed_mediapipe() {
                 Some(folder) => folder,
                 None => wrong_settings!(
-                    "--face detect needs {MODEL_SOURCES}; give it with --face-models (python3 has no mediapipe installed)"
+                    "`face` detect needs {MODEL_SOURCES}; give it with `face_models` (python3 has no mediapipe installed)"
                 ),
             },
         };

@@ -1,12 +1,13 @@
-//! `--tile` and `--scale`: for frames that are too large for memory or too slow.
+//! Tiles and scaling, for frames that are too large for memory or too slow.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::str::FromStr;
 
 use crate::clap::Args;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
-use srflow_core::Size;
+use srflow_core::{SettingError, Size};
 use srflow_nets::{Padding, SMALLEST_TILE_SIDE, TileSize, Tiles, Tiling, scaled_size};
 
 use crate::error::wrong_settings;
@@ -14,7 +15,7 @@ use crate::machine;
 use crate::methods::Method;
 use crate::networks::NetworkArgs;
 
-/// The share of free memory that `--tile auto` uses: frames and flow need some beside the network.
+/// The share of free memory that automatic tiles use: frames and flow need some beside the network.
 const MEMORY_SHARE: f64 = 0.8;
 /// Alignment of tiles for methods that need none.
 const CLASSICAL_ALIGNMENT: usize = 8;
@@ -51,7 +52,7 @@ enum Tile {
 /// Size of a method's input.
 #[derive(Debug, Serialize, PartialEq)]
 pub struct Resolution {
-    /// Width and height after `--scale`.
+    /// Width and height after scaling.
     width: usize,
     height: usize,
     /// Of each tile; with a single tile, of the frame.
@@ -60,18 +61,17 @@ pub struct Resolution {
     tiles: usize,
 }
 
+const FACTORS: RangeInclusive<f64> = 1.0 / 64.0..=64.0;
+const FACTOR: &str = "a factor from 1/64 to 64, such as 0.5";
+const OVERLAPS: RangeInclusive<usize> = 8..=4096;
+const OVERLAP: &str = "8 to 4096 pixels";
+
 fn factor(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(factor) if (1.0 / 64.0..=64.0).contains(&factor) => Ok(factor),
-        _ => Err("expected a factor from 1/64 to 64, such as 0.5".to_owned()),
-    }
+    text.parse().ok().filter(|factor| FACTORS.contains(factor)).ok_or_else(|| format!("expected {FACTOR}"))
 }
 
 fn overlap(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(pixels) if (8..=4096).contains(&pixels) => Ok(pixels),
-        _ => Err("expected 8 to 4096 pixels".to_owned()),
-    }
+    text.parse().ok().filter(|pixels| OVERLAPS.contains(pixels)).ok_or_else(|| format!("expected {OVERLAP}"))
 }
 
 impl fmt::Display for Tile {
@@ -101,6 +101,21 @@ impl FromStr for Tile {
 }
 
 impl LargeFrames {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// Names the first that is out of range.
+    pub fn check(&self) -> Result<(), SettingError> {
+        let wrong = |field, found, expected: &str| SettingError { field, found, expected: expected.to_owned() };
+        if !OVERLAPS.contains(&self.tile_overlap) {
+            return Err(wrong("tile_overlap", self.tile_overlap.to_string(), OVERLAP));
+        }
+        match self.scale.filter(|scale| !FACTORS.contains(scale)) {
+            Some(scale) => Err(wrong("scale", scale.to_string(), FACTOR)),
+            None => Ok(()),
+        }
+    }
+
     /// Whether either option is set.
     pub fn given(&self) -> bool {
         self.tile.is_some() || self.scale.is_some()
@@ -126,18 +141,18 @@ impl LargeFrames {
             (Some(Tile::Auto), Method::Network(architecture)) => {
                 if !network.on_cpu() {
                     wrong_settings!(
-                        "--tile auto knows the memory of the machine, not of {}: give WIDTHxHEIGHT",
+                        "`tile` auto knows the memory of the machine, not of {}: give WIDTHxHEIGHT",
                         network.device
                     );
                 }
                 let free = machine::free_memory()
-                    .context("--tile auto: the free memory is not known; give WIDTHxHEIGHT")?;
+                    .context("`tile` auto: the free memory is not known; give WIDTHxHEIGHT")?;
                 let need = architecture.facts().memory.of_batch(network.batch);
                 Some(TileSize::Fitting { need, bytes: (free as f64 * MEMORY_SHARE) as u64 })
             }
             (Some(Tile::Auto), _) => {
                 wrong_settings!(
-                    "--tile auto is for networks: give {} WIDTHxHEIGHT, or leave it out",
+                    "`tile` auto is for networks: give {} WIDTHxHEIGHT, or leave it out",
                     method.name()
                 )
             }

@@ -21,10 +21,13 @@
 #![cfg_attr(not(feature = "clap"), allow(dead_code, reason = "parsers of arguments"))]
 
 pub mod avatar;
+pub mod convert;
+pub mod device;
 #[doc(hidden)]
 pub mod error;
 #[doc(hidden)]
 pub mod face;
+pub mod flow;
 mod job;
 #[doc(hidden)]
 pub mod job_engine;
@@ -38,6 +41,8 @@ pub mod mer;
 pub mod merge;
 #[doc(hidden)]
 pub mod methods;
+pub mod metrics;
+pub mod models;
 #[doc(hidden)]
 pub mod networks;
 #[doc(hidden)]
@@ -51,6 +56,7 @@ pub mod render;
 pub mod rendering;
 #[doc(hidden)]
 pub mod scoring;
+pub mod settings;
 pub mod shapes;
 mod table;
 #[doc(hidden)]

@@ -1,4 +1,4 @@
-//! Networks on the command line: weights, iterations, device.
+//! The parameters of networks: weights, iterations, device.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -58,7 +58,7 @@ pub struct NetworkArgs {
     pub device: String,
 }
 
-/// `--precision`.
+/// What networks multiply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PrecisionArg {
@@ -93,20 +93,20 @@ impl PrecisionArg {
             Self::Bf16 => Precision::Bf16,
         };
         if let Err(error) = check_precision(&opened(name)?, wanted) {
-            wrong_settings!("--precision with --device {name}: {error}");
+            wrong_settings!("`precision` with `device` {name}: {error}");
         }
         Ok(wanted)
     }
 }
 
-/// The device that `--device` names.
+/// The device of this name.
 ///
 /// # Errors
 /// When it does not exist.
 fn opened(name: &str) -> anyhow::Result<Device> {
     match device(name) {
         Ok(device) => Ok(device),
-        Err(error) => wrong_settings!("--device: {error}"),
+        Err(error) => wrong_settings!("`device`: {error}"),
     }
 }
 
@@ -172,19 +172,19 @@ impl Default for NetworkArgs {
 }
 
 impl NetworkArgs {
-    /// The first option that was given.
+    /// The first setting that was given.
     pub fn given(&self) -> Option<&'static str> {
         [
-            ("--weights", self.weights.is_some()),
-            ("--iters", self.iters.is_some()),
-            ("--set", !self.set.is_empty()),
-            ("--precision", self.precision != PrecisionArg::F32),
-            ("--attention-tolerance", self.attention_tolerance.is_some()),
-            ("--batch", self.batch > 1),
-            ("--device", !self.on_cpu()),
+            ("weights", self.weights.is_some()),
+            ("iters", self.iters.is_some()),
+            ("set", !self.set.is_empty()),
+            ("precision", self.precision != PrecisionArg::F32),
+            ("attention_tolerance", self.attention_tolerance.is_some()),
+            ("batch", self.batch > 1),
+            ("device", !self.on_cpu()),
         ]
         .into_iter()
-        .find_map(|(option, given)| given.then_some(option))
+        .find_map(|(setting, given)| given.then_some(setting))
     }
 
     /// The same for a method with iterations and settings of its own.
@@ -255,7 +255,7 @@ impl NetworkArgs {
         for (name, value) in &self.set {
             match network.set(name, *value) {
                 Ok(()) | Err(SettingError::Unknown { .. }) => {}
-                Err(error) => wrong_settings!("--set {name}={value}: {error}"),
+                Err(error) => wrong_settings!("`set` {name}={value}: {error}"),
             }
         }
         Ok(())
@@ -269,7 +269,7 @@ impl NetworkArgs {
         let names = || networks.iter().map(|network| network.name()).collect::<Vec<_>>().join(", ");
         if self.iters.is_some() && !networks.iter().any(|network| network.facts().refines()) {
             wrong_settings!(
-                "--iters is for networks that refine their flow, and not for {}: leave it out",
+                "`iters` is for networks that refine their flow, and not for {}: leave it out",
                 names()
             );
         }
@@ -279,13 +279,13 @@ impl NetworkArgs {
             if !networks.iter().any(|network| attending.contains(network)) {
                 let attending = attending.iter().map(|network| network.name()).collect::<Vec<_>>().join(", ");
                 wrong_settings!(
-                    "--attention-tolerance is for networks with attention between all pixels ({attending}), and not for {}: leave it out",
+                    "`attention_tolerance` is for networks with attention between all pixels ({attending}), and not for {}: leave it out",
                     names()
                 );
             }
             if !self.on_cpu() {
                 wrong_settings!(
-                    "--attention-tolerance works on the CPU, not with --device {}: leave it out",
+                    "`attention_tolerance` works on the CPU, not with `device` {}: leave it out",
                     self.device
                 );
             }
@@ -301,12 +301,12 @@ impl NetworkArgs {
                 match having.as_slice() {
                     [] => {
                         wrong_settings!(
-                            "--set {name}: no network has this setting; `srflow models` lists them"
+                            "`set` {name}: no network has this setting; `srflow models` lists them"
                         )
                     }
                     having => {
                         wrong_settings!(
-                            "--set {name}: a setting of {}, not of {}",
+                            "`set` {name}: a setting of {}, not of {}",
                             having.join(", "),
                             names()
                         )
@@ -317,7 +317,7 @@ impl NetworkArgs {
         Ok(())
     }
 
-    /// Where a network's weights are: its own, those of `--weights`, or the ones that come with srflow.
+    /// Where a network's weights are: its own, those of `weights`, or the ones that come with srflow.
     ///
     /// # Errors
     /// When no weights are given and none come with srflow, or they cannot be found.
@@ -332,13 +332,13 @@ impl NetworkArgs {
             Some(weights) => weights_file(Some(architecture), weights, watch).map(Weights::File),
             None if architecture.facts().included.is_some() => Ok(Weights::Included),
             None => wrong_settings!(
-                "{name} needs weights: give --weights FILE, or --method {name}=FILE; `srflow models` lists where to get \
+                "{name} needs weights: give `weights` FILE, or `method` {name}=FILE; `srflow models` lists where to get \
                 them"
             ),
         }
     }
 
-    /// The network with its weights: its own, or those of `--weights`; for frames that are scaled by `scale` first.
+    /// The network with its weights: its own, or those of `weights`; for frames that are scaled by `scale` first.
     ///
     /// # Errors
     /// When there are no weights, they do not fit, or the device does not exist.
@@ -387,7 +387,7 @@ pub fn note_if_ambiguous(architecture: Architecture, path: &Path) -> anyhow::Res
     Ok(())
 }
 
-/// The file of `--weights`, fetched if it is a published name that is not cached.
+/// The file of these weights, fetched if it is a published name that is not cached.
 ///
 /// # Errors
 /// When it is neither a file nor a published name, or cannot be fetched.

@@ -2,8 +2,8 @@
 
 use serde_json::{Map, Value};
 
-use crate::error::WrongSettings;
-use crate::{Error, Job, Report, Watch, avatar, mer, merge, render, shapes};
+use crate::settings::from_json;
+use crate::{Error, Job, Watch, avatar, convert, device, flow, mer, merge, metrics, models, render, shapes};
 
 /// A job that is known by its name.
 pub struct Entry {
@@ -39,6 +39,15 @@ macro_rules! jobs {
 jobs![
     render::RenderJob,
     shapes::ShapesJob,
+    flow::FlowJob,
+    metrics::MetricsJob,
+    convert::ConvertJob,
+    models::ModelsJob,
+    models::InspectJob,
+    models::ExportJob,
+    device::DevicesJob,
+    device::TimeNetworkJob,
+    device::TimeRasterizerJob,
     merge::MergeJob,
     avatar::capture::CaptureJob,
     mer::synth::SynthJob,
@@ -55,38 +64,18 @@ impl Entry {
     /// # Errors
     /// A setting that is unknown, missing or wrong, by its name; or those of [`Job::run`].
     pub fn run(&self, settings: Map<String, Value>, watch: &Watch) -> Result<Done, Error> {
-        #[cfg(feature = "clap")]
-        self.check_names(&settings)?;
         (self.run)(settings, watch)
-    }
-
-    #[cfg(feature = "clap")]
-    fn check_names(&self, settings: &Map<String, Value>) -> Result<(), Error> {
-        let command = (self.command)();
-        let known: Vec<&str> = command.get_arguments().map(|argument| argument.get_id().as_str()).collect();
-        match settings.keys().find(|name| !known.contains(&name.as_str())) {
-            None => Ok(()),
-            Some(name) => {
-                let known = known.join(", ");
-                Err(anyhow::Error::from(WrongSettings(format!("no setting is called `{name}`; {known}"))).into())
-            }
-        }
     }
 }
 
 fn run<J: Job>(settings: Map<String, Value>, watch: &Watch) -> Result<Done, Error> {
-    let mut job: J = read(settings.clone())?;
+    let mut job: J = from_json(&settings)?;
     if let Some(Value::Object(mut all)) = job.preset_defaults() {
         all.extend(settings);
-        job = read(all)?;
+        job = from_json(&all)?;
     }
     let report = job.run(watch)?;
     Ok(Done { report: serde_json::to_value(&report).map_err(anyhow::Error::from)?, text: report.to_string() })
-}
-
-fn read<J: Job>(settings: Map<String, Value>) -> Result<J, Error> {
-    serde_json::from_value(Value::Object(settings))
-        .map_err(|error| anyhow::Error::from(WrongSettings(error.to_string())).into())
 }
 
 #[cfg(feature = "clap")]

@@ -3,14 +3,11 @@
 pub mod ablation;
 pub mod avatar;
 pub mod check;
-pub mod convert;
 pub mod demo;
 pub mod device;
 pub mod eval;
 pub mod figure;
-pub mod flow;
 pub mod mer;
-pub mod metrics;
 pub mod models;
 pub mod pack;
 pub mod rasterize;

@@ -6,7 +6,9 @@ mod splat;
 mod spz;
 
 use std::ffi::OsStr;
+use std::fmt;
 use std::path::Path;
+use std::str::FromStr;
 
 use glam::{Quat, Vec3};
 use srflow_files::{FileError, FileProblem};
@@ -31,13 +33,37 @@ pub struct SplatFormat {
 }
 
 /// The direction that is up in the world of Gaussians.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Up {
     /// +y, as of the heads of this project and in glTF: x right, y up, z towards the viewer.
+    #[default]
     PlusY,
     /// -y, as of most scenes that were reconstructed from photographs: x right, y down, z away from the viewer.
     MinusY,
 }
+
+impl fmt::Display for Up {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::PlusY => "y",
+            Self::MinusY => "-y",
+        })
+    }
+}
+
+impl FromStr for Up {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "y" | "+y" => Ok(Self::PlusY),
+            "-y" => Ok(Self::MinusY),
+            _ => Err("expected y or -y".to_owned()),
+        }
+    }
+}
+
+srflow_core::serialize_as_text!(Up);
 
 /// The formats. The first is that of files with any other extension.
 pub static SPLAT_FORMATS: [SplatFormat; 4] = [

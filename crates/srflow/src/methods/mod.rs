@@ -103,6 +103,13 @@ pub struct MethodSpec {
     pub settings: Vec<(String, usize)>,
 }
 
+/// The built-in network.
+impl Default for MethodSpec {
+    fn default() -> Self {
+        Method::DEFAULT.into()
+    }
+}
+
 impl From<Method> for MethodSpec {
     fn from(method: Method) -> Self {
         Self { label: None, method, weights: None, iterations: None, settings: Vec::new() }
@@ -121,6 +128,8 @@ impl fmt::Display for MethodSpec {
         }
     }
 }
+
+srflow_core::serialize_as_text!(MethodSpec);
 
 impl FromStr for MethodSpec {
     type Err = String;
@@ -357,17 +366,18 @@ fn named<'a>(
         specs.iter().filter(|spec| spec.method.network().is_some() && spec.weights.is_none()).count();
     let network = &parameters.network;
     match network.given() {
-        Some(option) if networks.is_empty() => {
-            wrong_settings!("{option} is for networks, and --method names none: leave it out")
+        Some(setting) if networks.is_empty() => {
+            wrong_settings!("`{setting}` is for networks, and `method` names none: leave it out")
         }
         _ => network.check(&networks)?,
     }
     if network.weights.is_some() && without != 1 {
         wrong_settings!(
-            "--weights is for one network, and --method names {without} without weights of their own: write \
-             --method NETWORK=WEIGHTS for each"
+            "`weights` is for one network, and `method` names {without} without weights of their own: write \
+             `method` NETWORK=WEIGHTS for each"
         );
     }
+    parameters.large_frames.check()?;
     let specs = distinct(specs);
     let labels = labels(&specs);
     for (number, label) in labels.iter().enumerate() {
@@ -375,7 +385,7 @@ fn named<'a>(
             wrong_settings!("`zero` is the baseline of the tables: give the method another name");
         }
         if labels[..number].contains(label) {
-            wrong_settings!("two methods have the name {label}: rename one, as in --method NAME:skflow=FILE");
+            wrong_settings!("two methods have the name {label}: rename one, as in `method` NAME:skflow=FILE");
         }
     }
     Ok(specs.into_iter().zip(labels).collect())

@@ -104,7 +104,7 @@ mod tests {
         let specs: Vec<MethodSpec> =
             specs.iter().map(String::as_str).chain(["tvl1"]).map(|text| text.parse().unwrap()).collect();
         let of = |parameters: &MethodParameters| -> Vec<String> {
-            records(&specs, parameters).unwrap().iter().map(MethodRecord::identity).collect()
+            records(&specs, parameters, &Watch::SILENT).unwrap().iter().map(MethodRecord::identity).collect()
         };
         let plain = of(&MethodParameters::default());
         assert_eq!(plain[0], plain[1], "neither name nor place of the weights");
@@ -113,7 +113,7 @@ mod tests {
         let mut identities = vec![plain[0].clone()];
         for iterations in ["12", "auto", "auto:0.02"] {
             specs_of_auto[0].iterations = Some(iterations.parse().unwrap());
-            let record = records(&specs_of_auto, &MethodParameters::default()).unwrap().remove(0);
+            let record = records(&specs_of_auto, &MethodParameters::default(), &Watch::SILENT).unwrap().remove(0);
             assert_eq!(record.still_px.is_some(), iterations.starts_with("auto"));
             assert!(!identities.contains(&record.identity()), "{iterations}");
             identities.push(record.identity());

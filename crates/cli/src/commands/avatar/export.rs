@@ -8,9 +8,9 @@ use srflow_splat::gltf::GltfBuilder;
 use srflow_splat::{Gaussians, NamedCamera, SplatFormat, Up, read_cameras, write_gaussians};
 
 use crate::Context;
-use crate::commands::convert::{parse_up, report_gaussians};
-use crate::output::ensure_free;
+use crate::output::{ensure_free, print_json_line};
 use crate::posed_head::{HeadArgs, MovingHead};
+use srflow::convert::GaussiansWritten;
 use srflow::wrong_settings;
 
 /// Most timesteps of an animation: viewers hold one texture layer per morph target, of which WebGL 2 promises 256.
@@ -48,7 +48,7 @@ pub struct Export {
     #[arg(long, value_name = "WIDTHxHEIGHT", requires = "camera")]
     size: Option<Size>,
     /// Direction that is up in a .ply: y, as in the world of the head, or -y, as many viewers of .ply expect it
-    #[arg(long, value_name = "AXIS", allow_hyphen_values = true, default_value = "y", value_parser = parse_up)]
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true, default_value_t)]
     ply_up: Up,
     /// Overwrite the file
     #[arg(long)]
@@ -87,7 +87,8 @@ pub fn run(args: Export, context: &Context) -> anyhow::Result<()> {
         }
         write_gaussians(&args.output, &gaussians)?;
     }
-    report_gaussians(&args.output, format, &gaussians, context)
+    let written = GaussiansWritten::new(&args.output, format, &gaussians);
+    if context.json { print_json_line(&written) } else { Ok(()) }
 }
 
 /// Gaussians, mesh, cameras and motion in one file.

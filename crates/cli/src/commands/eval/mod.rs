@@ -82,7 +82,7 @@ pub struct Eval {
     #[arg(long)]
     regions: bool,
     /// Also score the pixels whose true flow is shorter than this, e.g. 0.5; of the head, where there are masks
-    #[arg(long, value_name = "PIXELS", allow_negative_numbers = true, value_parser = super::convert::positive)]
+    #[arg(long, value_name = "PIXELS", allow_negative_numbers = true, value_parser = srflow::convert::positive)]
     small_motion: Option<f32>,
     /// Also score the motion that remains inside the head (without a mask, in the frame) when that of the head, its best affine
     /// fit, is taken away from the estimated and the true flow: the correlation of the two, and how strong the estimated one is

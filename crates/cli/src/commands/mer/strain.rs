@@ -39,7 +39,7 @@ pub struct Strain {
     #[arg(long, value_name = "PNG")]
     viz: Option<PathBuf>,
     /// Strain drawn white [default: the largest]
-    #[arg(long, value_name = "STRAIN", requires = "viz", value_parser = super::super::convert::positive)]
+    #[arg(long, value_name = "STRAIN", requires = "viz", value_parser = srflow::convert::positive)]
     viz_max: Option<f32>,
     /// How to estimate the flow
     #[arg(long, value_name = "METHOD", default_value = Method::DEFAULT.name(), help = Method::help())]

@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, ensure};
 use srflow_files::{FileKind, FlowFormat, create_folder, read_text, write_file};
 
-use super::Flow;
+use super::FlowJob;
 use super::extra::ExtraOutput;
 use super::frames::Source;
+use crate::error::wrong_settings;
 use crate::output::ensure_free;
 use crate::video::is_video;
-use srflow::wrong_settings;
 
 /// The flow files to write.
 pub struct Outputs {
@@ -59,20 +59,20 @@ impl Outputs {
     /// Two frames and a name with an extension give a file; everything else gives a folder.
     ///
     /// # Errors
-    /// When `--out` or `--viz` does not fit the frames.
-    pub fn plan(args: &Flow, source: &Source) -> anyhow::Result<Self> {
-        let two_files = matches!(source, Source::Files(files) if files.len() == 2 && args.frames.len() == 2);
+    /// When `out` or `viz` does not fit the frames.
+    pub fn plan(job: &FlowJob, source: &Source) -> anyhow::Result<Self> {
+        let two_files = matches!(source, Source::Files(files) if files.len() == 2 && job.frames.len() == 2);
         let is_file = two_files
-            && !args.out.is_dir()
-            && args.out.extension().is_some()
-            && !ends_with_separator(&args.out);
-        let (flows, viz) = if is_file { Self::file(args)? } else { Self::folder(args, source)? };
+            && !job.out.is_dir()
+            && job.out.extension().is_some()
+            && !ends_with_separator(&job.out);
+        let (flows, viz) = if is_file { Self::file(job)? } else { Self::folder(job, source)? };
         let mut extra = Vec::new();
         for kind in ExtraOutput::ALL {
-            let Some(path) = args.extra(kind) else { continue };
-            if args.initial_flow.is_some() {
+            let Some(path) = job.extra(kind) else { continue };
+            if job.initial_flow.is_some() {
                 wrong_settings!(
-                    "--{} does not go together with --initial-flow: leave one of them out",
+                    "`{}` does not go together with `initial_flow`: leave one of them out",
                     kind.name()
                 );
             }
@@ -88,7 +88,7 @@ impl Outputs {
             }
             extra.push((kind, path.to_owned()));
         }
-        let outputs = Self { flows, viz, extra, force: args.force };
+        let outputs = Self { flows, viz, extra, force: job.force };
         let files = outputs.pair("frame");
         let mut names = HashSet::new();
         if let Some(twice) = files.all().find(|file| !names.insert(*file)) {
@@ -98,15 +98,15 @@ impl Outputs {
         Ok(outputs)
     }
 
-    fn file(args: &Flow) -> anyhow::Result<(Flows, Option<Viz>)> {
-        if FlowFormat::from_path(&args.out).is_none() {
+    fn file(job: &FlowJob) -> anyhow::Result<(Flows, Option<Viz>)> {
+        if FlowFormat::from_path(&job.out).is_none() {
             let names = FlowFormat::ALL.map(FlowFormat::extension).join(", ");
             wrong_settings!(
                 "{}: unknown flow format; the extension must be one of {names}",
-                args.out.display()
+                job.out.display()
             );
         }
-        if let Some(viz) = &args.viz {
+        if let Some(viz) = &job.viz {
             let is_png = viz.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
             if !is_png || viz.is_dir() {
                 wrong_settings!(
@@ -115,19 +115,19 @@ impl Outputs {
                 );
             }
         }
-        Ok((Flows::File(args.out.clone()), args.viz.clone().map(Viz::File)))
+        Ok((Flows::File(job.out.clone()), job.viz.clone().map(Viz::File)))
     }
 
-    fn folder(args: &Flow, source: &Source) -> anyhow::Result<(Flows, Option<Viz>)> {
-        if args.initial_flow.is_some() {
-            wrong_settings!("--initial-flow is for two frames and a file, not for a sequence");
+    fn folder(job: &FlowJob, source: &Source) -> anyhow::Result<(Flows, Option<Viz>)> {
+        if job.initial_flow.is_some() {
+            wrong_settings!("`initial_flow` is for two frames and a file, not for a sequence");
         }
-        let viz = args.viz.clone().map(|viz| if is_video(&viz) { Viz::Video(viz) } else { Viz::Folder(viz) });
+        let viz = job.viz.clone().map(|viz| if is_video(&viz) { Viz::Video(viz) } else { Viz::Folder(viz) });
         let pictures = match &viz {
             Some(Viz::Folder(folder)) => Some(folder),
             _ => None,
         };
-        for folder in [Some(&args.out), pictures].into_iter().flatten() {
+        for folder in [Some(&job.out), pictures].into_iter().flatten() {
             let like_file = folder.is_file() || FlowFormat::from_path(folder).is_some();
             if like_file && !folder.is_dir() {
                 wrong_settings!("{}: {source} give a folder of flow files, not one file", folder.display());
@@ -143,7 +143,7 @@ impl Outputs {
                 );
             }
         }
-        Ok((Flows::Folder(args.out.clone(), args.format), viz))
+        Ok((Flows::Folder(job.out.clone(), job.format), viz))
     }
 
     /// The files of the pair whose first frame has this name.
@@ -163,7 +163,7 @@ impl Outputs {
         }
     }
 
-    /// The files of a plane of the pair whose first frame has this name; `path` as on the command line.
+    /// The files of a plane of the pair whose first frame has this name; `path` as given.
     fn plane(&self, path: &Path, stem: &str) -> PlaneFiles {
         let npy = match self.flows {
             Flows::File(_) => path.to_owned(),
@@ -193,7 +193,7 @@ impl Outputs {
     /// until [`finish`](Self::finish).
     ///
     /// # Errors
-    /// When a folder cannot be created; without such a run, when a file of a pair exists and `--force` was not given.
+    /// When a folder cannot be created; without such a run, when a file of a pair exists and `force` is not set.
     pub fn claim(&mut self, identity: &str, source: &Source, one_by_one: bool) -> anyhow::Result<u64> {
         let Some(note) = self.note() else {
             self.prepare(&source.stems())?;
@@ -233,7 +233,7 @@ impl Outputs {
     /// Creates the folders.
     ///
     /// # Errors
-    /// When a folder cannot be created, or a file of one of these pairs exists and `--force` was not given.
+    /// When a folder cannot be created, or a file of one of these pairs exists and `force` is not set.
     fn prepare(&self, stems: &[String]) -> anyhow::Result<()> {
         self.check_free(self.video().map(Path::to_owned))?;
         for stem in stems {
@@ -249,7 +249,7 @@ impl Outputs {
     }
 
     /// # Errors
-    /// When a file of the pair exists and `--force` was not given.
+    /// When a file of the pair exists and `force` is not set.
     pub fn check_pair(&self, stem: &str) -> anyhow::Result<()> {
         self.check_free(self.pair(stem).all().map(Path::to_owned))
     }

@@ -8,8 +8,8 @@ use srflow_core::Image;
 use srflow_files::{IMAGE_EXTENSIONS, read_image, read_image_size};
 use srflow_read::flow::pictures;
 
+use crate::error::wrong_settings;
 use crate::video::{self, VideoReader, is_video};
-use srflow::wrong_settings;
 
 /// Two or more pictures, or a video.
 pub enum Source {

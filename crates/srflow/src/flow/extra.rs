@@ -13,7 +13,7 @@ pub enum ExtraOutput {
 impl ExtraOutput {
     pub const ALL: [Self; 2] = [Self::Uncertainty, Self::Occlusion];
 
-    /// Name of the option, without the dashes, and key in `--json`.
+    /// Name of the setting, and key in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Uncertainty => "uncertainty",
@@ -47,7 +47,7 @@ impl ExtraOutput {
 
     /// Message for a method that does not predict it.
     pub fn missing(self, method: &str) -> String {
-        format!("--{}: {method} does not predict it; these networks do: {}", self.name(), self.networks())
+        format!("`{}`: {method} does not predict it; these networks do: {}", self.name(), self.networks())
     }
 
     pub fn of(self, estimate: &FlowEstimate) -> Option<&Plane> {

@@ -8,5 +8,5 @@ use srflow_ops::ReusingAllocator;
 static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
 
 fn main() -> ExitCode {
-    ExitCode::from(srflow::run(std::env::args_os()))
+    ExitCode::from(srflow_cli::run(std::env::args_os()))
 }

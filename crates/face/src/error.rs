@@ -50,17 +50,17 @@ pub enum FaceError {
     /// The detector finds nothing.
     #[error(
         "no face is found; the detector sees faces that are turned by less than about 60 degrees and take at least a tenth of \
-         the frame: crop the frame around the face (--face-box), or give landmarks (--landmarks)"
+         the frame: crop the frame around the face (`face_box`), or give landmarks (`landmarks`)"
     )]
     NoFace,
     /// The detector finds several faces, and none was chosen.
-    #[error("{} faces are found, from left to right: {}; choose one by --face-index 1 to {}", .boxes.len(), listed(.boxes), .boxes.len())]
+    #[error("{} faces are found, from left to right: {}; choose one by `face_index` 1 to {}", .boxes.len(), listed(.boxes), .boxes.len())]
     Several {
         /// From left to right.
         boxes: Vec<FaceBox>,
     },
     /// The chosen face is not there.
-    #[error("--face-index {index}: expected 1 to {found}, the number of faces that are found")]
+    #[error("`face_index` {index}: expected 1 to {found}, the number of faces that are found")]
     NoSuchFace {
         /// From 1.
         index: usize,

@@ -72,7 +72,7 @@ impl FaceArgs {
             (None, None) => match installed_mediapipe() {
                 Some(folder) => folder,
                 None => wrong_settings!(
-                    "--face detect needs {MODEL_SOURCES}; give it with --face-models (python3 has no mediapipe installed)"
+                    "`face` detect needs {MODEL_SOURCES}; give it with `face_models` (python3 has no mediapipe installed)"
                 ),
             },
         };

@@ -103,6 +103,14 @@ pub struct MethodSpec {
     pub settings: Vec<(String, usize)>,
 }
 
+srflow_core::serialize_as_text!(MethodSpec);
+
+impl Default for MethodSpec {
+    fn default() -> Self {
+        Method::DEFAULT.into()
+    }
+}
+
 impl From<Method> for MethodSpec {
     fn from(method: Method) -> Self {
         Self { label: None, method, weights: None, iterations: None, settings: Vec::new() }
@@ -155,6 +163,11 @@ impl FromStr for MethodSpec {
             }),
         }
     }
+}
+
+/// The methods of a job for several that is given none.
+pub fn default_methods() -> Vec<MethodSpec> {
+    vec![MethodSpec::default()]
 }
 
 /// A method of `srflow eval`: also `files:DIR` and `LABEL:files:DIR`.

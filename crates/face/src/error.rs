@@ -50,7 +50,7 @@ pub enum FaceError {
     /// The detector finds nothing.
     #[error(
         "no face is found; the detector sees faces that are turned by less than about 60 degrees and take at least a tenth of \
-         the frame: crop the frame around the face (--face-box), or give landmarks (--landmarks)"
+         the frame: crop the frame around the face (`face_box`), or give landmarks (`landmarks`)"
     )]
     NoFace,
     /// The detector finds several faces, and none was chosen.

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use serde::Serialize;
 use srflow_core::resize::resize_cubic;
-use srflow_core::{FlowEstimator, Plane, luminance, named};
+use srflow_core::{FlowEstimator, Plane, luminance, named, serialize_as_text};
 use srflow_face::{FacePoints, FrameCrop};
 use srflow_files::read_image;
 use srflow_read::micro_expression::Clip;
@@ -26,6 +26,7 @@ pub enum ApexRule {
 }
 
 named!(ApexRule, "a rule of spotting the apex", { Ratio => "ratio", Strain => "strain" });
+serialize_as_text!(ApexRule);
 
 /// A spotted apex.
 #[derive(Debug, Clone, PartialEq)]

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use srflow_core::resize::{resize_cubic, resize_flow_area};
-use srflow_core::{EstimateError, FlowEstimator, FlowField, Image, Plane, in_stages, named, printable};
+use srflow_core::{EstimateError, FlowEstimator, FlowField, Image, Plane, in_stages, named, printable, serialize_as_text};
 use srflow_face::{FaceError, FrameCrop};
 use srflow_files::{FileError, read_image};
 use srflow_read::micro_expression::Clip;
@@ -26,6 +26,7 @@ pub enum ResizeOrder {
 }
 
 named!(ResizeOrder, "before or after the flow", { Before => "before", After => "after" });
+serialize_as_text!(ResizeOrder);
 
 /// The settings that features depend on, apart from the pictures and the flow method.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -65,7 +66,7 @@ pub struct ExtractError {
 pub enum ExtractProblem {
     /// It has no apex.
     #[error(
-        "it has no apex frame; spot it (`--apex ratio` or `--apex strain`) or give a list of apex frames"
+        "it has no apex frame; spot it (`apex` ratio or strain) or give a list of apex frames"
     )]
     NoApex,
     /// A required frame is missing.

@@ -55,3 +55,11 @@ pub use run::{
 pub use strain::{StrainFormula, optical_strain, strain_colors};
 pub use summary::{Best, EpochScores, FoldScores, Summary, SummaryError};
 pub use training::{Training, cross_entropy};
+
+/// Clap's derives with the feature `clap`; otherwise derives that generate nothing.
+pub(crate) mod clap {
+    #[cfg(feature = "clap")]
+    pub use ::clap::{Args, ValueEnum};
+    #[cfg(not(feature = "clap"))]
+    pub use srflow_no_clap::{Args, ValueEnum};
+}

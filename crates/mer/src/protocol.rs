@@ -2,23 +2,37 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::clap::Args;
+
 /// How classifiers are trained: by default with the SRFlow paper's values, or those of Off-TANet's code where the paper has
 /// none.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Protocol {
-    /// Number of epochs; 201, so that the last has number 200.
+    /// Epochs: passes over the training clips
+    #[arg(long, value_name = "N", default_value_t = Self::default().epochs)]
     pub epochs: usize,
-    /// Interval between recorded epochs, starting at 0; the last is recorded too; 20.
+    /// Epochs between two recordings of the predictions
+    ///
+    /// They start at epoch 0; the last epoch is recorded too.
+    #[arg(long, value_name = "N", default_value_t = Self::default().record_every)]
     pub record_every: usize,
-    /// Batch size; 64. The last batch of an epoch may be smaller.
+    /// Batch size in clips
+    ///
+    /// The last batch of an epoch may be smaller.
+    #[arg(long, value_name = "N", default_value_t = Self::default().batch)]
     pub batch: usize,
-    /// Initial learning rate of Adam; 6.5e-4.
+    /// Initial learning rate of Adam; it is multiplied by 0.3 every 60 epochs
+    #[arg(long, value_name = "RATE", default_value_t = Self::default().learning_rate)]
     pub learning_rate: f64,
-    /// Epochs between decays of the learning rate; 60.
+    /// Epochs between decays of the learning rate
+    #[arg(skip = Self::default().decay_every)]
     pub decay_every: usize,
-    /// Factor of a decay; 0.3.
+    /// Factor of a decay
+    #[arg(skip = Self::default().decay)]
     pub decay: f64,
-    /// Seed of parameters, order of clips and dropout.
+    /// Seed of the initial parameters, the order of clips and dropout
+    #[arg(long, value_name = "SEED", default_value_t = Self::default().seed)]
     pub seed: u64,
 }
 

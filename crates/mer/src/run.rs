@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use srflow_core::{FlowEstimator, Shard};
 use srflow_eval::MethodRecord;
 use srflow_files::FileError;
@@ -11,6 +11,7 @@ use srflow_read::micro_expression::{Clip, ClipDataset};
 
 use crate::apex::{ApexRule, fill_apexes};
 use crate::cache::FeatureCache;
+use crate::clap::ValueEnum;
 use crate::classifier::ClassifierEntry;
 use crate::extract::{ExtractError, Method, Preparation, extract};
 use crate::features::Sample;
@@ -27,7 +28,7 @@ const COMPOSITE: &str = "composite";
 #[derive(Debug, Clone)]
 pub struct RunSettings {
     /// The classifier.
-    pub classifier: &'static ClassifierEntry,
+    pub classifier: ClassifierEntry,
     /// The sets of clips to evaluate.
     pub sets: Sets,
     /// How to spot the apex of clips without one; `None` makes such a clip an error.
@@ -43,13 +44,15 @@ pub struct RunSettings {
 }
 
 /// The sets of clips to evaluate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Sets {
-    /// Each dataset separately.
+    /// Each dataset by itself.
     Each,
-    /// All datasets combined, called `composite`.
+    /// All datasets as one.
     Composite,
-    /// Each separately, and all combined if there are several.
+    /// Each by itself, then all as one where there are several.
+    #[default]
     Both,
 }
 

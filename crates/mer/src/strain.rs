@@ -1,6 +1,6 @@
 //! Optical strain: how much the flow stretches and shears the skin.
 
-use srflow_core::{FlowField, Image, Plane, named};
+use srflow_core::{FlowField, Image, Plane, named, serialize_as_text};
 
 /// How strain is computed from the flow's derivatives `ux`, `uy`, `vx`, `vy`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -15,6 +15,7 @@ pub enum StrainFormula {
 }
 
 named!(StrainFormula, "a strain formula", { Literature => "literature", OffTaNet => "off-tanet" });
+serialize_as_text!(StrainFormula);
 
 /// Optical strain of a flow, in its size. Derivatives are those of OpenCV's 3x3 `Sobel`, with borders mirrored without repeating
 /// the outermost pixel (`BORDER_REFLECT_101`).

@@ -8,7 +8,7 @@ use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
 use srflow_eval::MethodRecord;
 use srflow_files::write_image_png;
 use srflow_mer::{
-    ApexRule, ClassifierEntry, FeatureRecipe, Preparation, Protocol, RunError, RunEvent, RunFolders,
+    ApexRule, FeatureRecipe, Preparation, Protocol, RunError, RunEvent, RunFolders,
     RunMethod, RunResults, RunSettings, Sets, compute_features, run, write_features,
 };
 use srflow_read::micro_expression::{Classes, ClipDataset, ClipSource};
@@ -49,7 +49,7 @@ fn dataset(folder: &Path, subjects: usize) -> ClipDataset {
 
 fn settings() -> RunSettings {
     RunSettings {
-        classifier: ClassifierEntry::from_name("ststnet").unwrap(),
+        classifier: "ststnet".parse().unwrap(),
         sets: Sets::Both,
         apex: Some(ApexRule::Strain),
         preparation: Preparation::default(),

@@ -236,7 +236,7 @@ fn mixed_up_spreadsheets_are_recognized() {
 fn a_wrong_root_is_refused_with_the_expected_path() {
     let empty = tempfile::tempdir().unwrap();
     for kind in ["samm", "casme2", "smic"] {
-        refuses(Labels::read(&at(kind, empty.path())), &[".xlsx", "--annotations"]);
+        refuses(Labels::read(&at(kind, empty.path())), &[".xlsx", "`annotations`"]);
     }
     refuses(Labels::read(&at("clips", empty.path())), &["clips.csv", "is empty"]);
     refuses(Labels::read(&source("samm:/no/such/folder")), &["/no/such/folder"]);
@@ -441,7 +441,7 @@ fn missing_frames_are_named_and_counted() {
         "1/a: 3 frames: 12-13, 17",
         "1/b: 1 frame: 15",
         "2/gone: 3 frames: 1-3 (no folder",
-        "--allow-missing",
+        "`allow_missing`",
     ];
     refuses(ClipDataset::open(&source, false), &expected);
 
@@ -474,7 +474,7 @@ fn key_frames_alone_are_taken_when_that_is_said() {
     }
     write_plain(&folder.path().join("clips.csv"), &Classes::default(), &rows).unwrap();
     let source = at("clips", folder.path());
-    refuses(ClipDataset::open(&source, false), &["32 frames of 4 clips", "--only-key-frames"]);
+    refuses(ClipDataset::open(&source, false), &["32 frames of 4 clips", "`only_key_frames`"]);
 
     let key_frames = ClipSource { only_key_frames: true, ..source };
     let error = ClipDataset::open(&key_frames, false).unwrap_err().to_string();

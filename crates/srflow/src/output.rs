@@ -1,10 +1,12 @@
 //! Where results go: nothing is overwritten unless the job says so, and tables look alike.
 
 use std::ffi::OsStr;
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use srflow_eval::{Table, latex_file};
+use srflow_core::printable;
+use srflow_eval::{Table, TextStyle, joined, latex_file};
 
 use crate::error::wrong_settings;
 use crate::video::is_video;
@@ -42,4 +44,15 @@ pub fn ensure_extension(file: &Path, extension: &str) -> anyhow::Result<()> {
 /// Tables as one LaTeX file.
 pub fn latex(tables: &[Table]) -> String {
     latex_file(tables.iter().map(|table| (table.title.clone(), table.latex())))
+}
+
+/// Writes tables as text, with colours for a terminal in the alternate form `{:#}`.
+pub fn write_tables(f: &mut fmt::Formatter, tables: &[Table]) -> fmt::Result {
+    let style = if f.alternate() { TextStyle::Ansi } else { TextStyle::Plain };
+    writeln!(f, "{}", joined(tables, |table| table.text(style)).trim_end())
+}
+
+/// Writes one line. Control characters are escaped, line ends too: names may come from files.
+pub fn write_line(f: &mut fmt::Formatter, line: fmt::Arguments) -> fmt::Result {
+    writeln!(f, "{}", printable(&line.to_string()))
 }

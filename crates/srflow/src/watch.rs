@@ -82,6 +82,12 @@ impl Count<'_> {
         self.report();
     }
 
+    /// So many more units are done.
+    pub fn add(&self, units: u64) {
+        self.done.fetch_add(units, Ordering::Relaxed);
+        self.report();
+    }
+
     /// So many units are done.
     pub fn set(&self, done: u64) {
         self.done.store(done, Ordering::Relaxed);

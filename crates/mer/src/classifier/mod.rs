@@ -4,11 +4,14 @@ mod offapexnet;
 mod offtanet;
 mod ststnet;
 
+use std::fmt;
+use std::str::FromStr;
 use std::sync::Arc;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_core::random::{Key, Stream};
+use srflow_core::serialize_as_text;
 use srflow_nn::{ParameterInfo, Parameters, parameter_infos, with_parameters};
 
 pub use offapexnet::OffApexNet;
@@ -102,6 +105,51 @@ impl ClassifierEntry {
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Result<Loso, LosoError> {
         (self.leave_one_subject_out)(samples, classes, protocol, folder, on_event, stop)
+    }
+}
+
+impl Default for ClassifierEntry {
+    fn default() -> Self {
+        CLASSIFIERS[0]
+    }
+}
+
+impl PartialEq for ClassifierEntry {
+    fn eq(&self, other: &Self) -> bool {
+        self.facts.name == other.facts.name
+    }
+}
+
+impl Eq for ClassifierEntry {}
+
+impl fmt::Display for ClassifierEntry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.facts.name)
+    }
+}
+
+impl FromStr for ClassifierEntry {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        Self::from_name(name).copied().ok_or_else(|| {
+            let names = CLASSIFIERS.each_ref().map(|entry| entry.facts.name).join(", ");
+            format!("`{name}` is not a classifier; expected one of {names}")
+        })
+    }
+}
+
+serialize_as_text!(ClassifierEntry);
+
+#[cfg(feature = "clap")]
+impl clap::ValueEnum for ClassifierEntry {
+    fn value_variants<'a>() -> &'a [Self] {
+        &CLASSIFIERS
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        let ClassifierFacts { name, title, input, .. } = self.facts;
+        Some(clap::builder::PossibleValue::new(name).help(format!("{title}: {input}")))
     }
 }
 

@@ -110,6 +110,6 @@ fn objective_classes(
         kind: form.kind,
         dir: source.dir.clone(),
         expected: form.called,
-        found: "it is missing. Put it there, or next to the file of --annotations".to_owned(),
+        found: "it is missing. Put it there, or next to the file of `annotations`".to_owned(),
     })
 }

@@ -54,7 +54,7 @@ pub enum MicroExpressionError {
     Twice { path: PathBuf, subject: String, clip: String },
     /// No clip belongs to any of the classes.
     #[error(
-        "{dataset}: no clip belongs to one of the classes {classes}; its clips are labelled {found}. Give other --classes"
+        "{dataset}: no clip belongs to one of the classes {classes}; its clips are labelled {found}. Give other `classes`"
     )]
     NoClass {
         dataset: String,
@@ -74,7 +74,7 @@ pub enum MicroExpressionError {
     },
     /// Frames are missing, which was not allowed.
     #[error(
-        "{dataset}: {frames} frames of {clips} clips are missing below {}:\n{listed}\ncopy them there, or continue without them with --allow-missing{key_frames}",
+        "{dataset}: {frames} frames of {clips} clips are missing below {}:\n{listed}\ncopy them there, or continue without them with `allow_missing`{key_frames}",
         .root.display()
     )]
     Missing {
@@ -118,7 +118,7 @@ impl MicroExpressionError {
             clips: missing.len(),
             listed: listed.join("\n"),
             key_frames: match missing.iter().any(|clip| clip.holds_key_frames) {
-                true => "; for clips with only onset, apex and offset, give --only-key-frames",
+                true => "; for clips with only onset, apex and offset, give `only_key_frames`",
                 false => "",
             },
         }

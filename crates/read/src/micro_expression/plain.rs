@@ -96,7 +96,7 @@ fn class_of(source: &ClipSource, row: Row) -> Result<Option<usize>, MicroExpress
         let text = row.filled("class")?;
         return Err(row.wrong(format!(
             "class: `{text}` is not a class; expected negative, positive or surprise, or its number 0, 1 or 2. Other \
-             classes need --classes"
+             classes need `classes`"
         )));
     }
     Ok(class)

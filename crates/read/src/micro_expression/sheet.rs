@@ -112,7 +112,7 @@ pub fn spreadsheet_in(form: &Form, dir: &Path) -> Result<Option<Table>, MicroExp
     }
     if let [first, second, ..] = &fitting[..] {
         let found = format!(
-            "both {} and {} match: choose one with --annotations {}:FILE",
+            "both {} and {} match: choose one with `annotations` {}:FILE",
             listing::name(&first.path),
             listing::name(&second.path),
             form.kind
@@ -136,7 +136,7 @@ fn none_fits(form: &Form, dir: &Path) -> MicroExpressionError {
     no_annotations(
         form,
         dir,
-        format!("{there}. Put it there, or give it with --annotations {}:FILE", form.kind),
+        format!("{there}. Put it there, or give it with `annotations` {}:FILE", form.kind),
     )
 }
 

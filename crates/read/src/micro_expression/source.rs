@@ -82,6 +82,8 @@ impl FromStr for ClipSource {
     }
 }
 
+srflow_core::serialize_as_text!(ClipSource);
+
 impl ClipSource {
     /// Plain clips in a folder.
     pub(crate) fn plain(dir: &Path) -> Self {

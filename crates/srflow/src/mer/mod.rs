@@ -1,3 +1,15 @@
 //! Jobs of micro-expressions.
 
+pub mod apex;
+pub mod data;
+pub mod features;
+mod preparation;
+mod progress;
+pub mod run;
+mod sources;
+pub mod strain;
 pub mod synth;
+pub mod tables;
+
+pub use preparation::PreparationArgs;
+pub use sources::SourceArgs;

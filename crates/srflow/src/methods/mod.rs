@@ -166,6 +166,11 @@ impl FromStr for MethodSpec {
     }
 }
 
+/// The methods of a job for several that is given none.
+pub fn default_methods() -> Vec<MethodSpec> {
+    vec![MethodSpec::default()]
+}
+
 /// A method of `srflow eval`: also `files:DIR` and `LABEL:files:DIR`.
 ///
 /// # Errors

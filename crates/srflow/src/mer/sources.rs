@@ -1,31 +1,47 @@
-//! Arguments for micro-expression datasets.
+//! Which micro-expression datasets, and how they are read.
 
 use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
-use clap::Args;
+use serde::{Deserialize, Serialize};
 use srflow_read::micro_expression::{
     CLASS_SETS, CLIP_KINDS, Classes, ClipDataset, ClipSource, check_distinct,
 };
 
+use crate::clap::Args;
+use crate::error::wrong_settings;
+
 /// Where annotations are, which classes to use, and how to treat missing frames.
-#[derive(Args, Debug, Clone)]
+#[derive(Args, Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct SourceArgs {
     /// Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE
     #[arg(long, value_name = "KIND:FILE")]
-    annotations: Vec<String>,
+    pub annotations: Vec<String>,
     /// CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder]
     #[arg(long, value_name = "FILE")]
-    apex_list: Option<PathBuf>,
+    pub apex_list: Option<PathBuf>,
     /// Classes: a name (see below), or your own TOML file (docs/mer.md)
-    #[arg(long, value_name = "CLASSES", default_value = CLASS_SETS[0].0)]
-    classes: String,
+    #[arg(long, value_name = "CLASSES", default_value_t = Self::default().classes)]
+    pub classes: String,
     /// Tolerate missing frames; clips without onset or apex are dropped
     #[arg(long)]
     pub allow_missing: bool,
     /// Accept clips that consist of onset, apex and offset frames only
     #[arg(long)]
-    only_key_frames: bool,
+    pub only_key_frames: bool,
+}
+
+impl Default for SourceArgs {
+    fn default() -> Self {
+        Self {
+            annotations: Vec::new(),
+            apex_list: None,
+            classes: CLASS_SETS[0].0.to_owned(),
+            allow_missing: false,
+            only_key_frames: false,
+        }
+    }
 }
 
 impl SourceArgs {
@@ -33,26 +49,33 @@ impl SourceArgs {
     ///
     /// # Errors
     /// When there are no classes of that name.
-    pub fn classes(&self) -> anyhow::Result<Classes> {
-        Classes::open(&self.classes).context("--classes")
+    pub(super) fn classes(&self) -> anyhow::Result<Classes> {
+        Classes::open(&self.classes).context("`classes`")
     }
 
-    /// The datasets, with the other arguments applied.
-    pub fn complete(&self, mut sources: Vec<ClipSource>) -> anyhow::Result<Vec<ClipSource>> {
+    /// The datasets with these settings.
+    ///
+    /// # Errors
+    /// When there is no dataset, or a setting is for none of them.
+    pub(super) fn complete(&self, sources: &[ClipSource]) -> anyhow::Result<Vec<ClipSource>> {
+        if sources.is_empty() {
+            wrong_settings!("expected at least one dataset, KIND:DIR, found none");
+        }
+        let mut sources = sources.to_vec();
         let classes = self.classes()?;
         for text in &self.annotations {
             let Some((kind, file)) = text.split_once(':').filter(|(_, file)| !file.is_empty()) else {
-                bail!("--annotations {text}: expected KIND:FILE, e.g. samm:SAMM_Micro_FACS_Codes_v2.xlsx");
+                bail!("`annotations` {text}: expected KIND:FILE, e.g. samm:SAMM_Micro_FACS_Codes_v2.xlsx");
             };
             let Some(source) = sources.iter_mut().find(|source| source.kind.name == kind) else {
-                bail!("--annotations {text}: none of the datasets is of the kind `{kind}`");
+                bail!("`annotations` {text}: none of the datasets is of the kind `{kind}`");
             };
             source.annotations = Some(file.into());
         }
         if let Some(list) = &self.apex_list {
             let Some(smic) = sources.iter_mut().find(|source| source.kind.name == "smic") else {
                 bail!(
-                    "--apex-list {}: it is for SMIC, and none of the datasets is of the kind `smic`; clips.csv has a column apex",
+                    "`apex_list` {}: it is for SMIC, and none of the datasets is of the kind `smic`; clips.csv has a column apex",
                     list.display()
                 );
             };
@@ -69,7 +92,7 @@ impl SourceArgs {
     ///
     /// # Errors
     /// Those of [`ClipDataset::open`], or when two have the same name.
-    pub fn open(&self, sources: Vec<ClipSource>) -> anyhow::Result<Vec<ClipDataset>> {
+    pub(super) fn open(&self, sources: &[ClipSource]) -> anyhow::Result<Vec<ClipDataset>> {
         let sources = self.complete(sources)?;
         let open = |source: &ClipSource| {
             ClipDataset::open(source, self.allow_missing).with_context(|| format!("reading {source}"))

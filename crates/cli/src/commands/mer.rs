@@ -1,0 +1,37 @@
+//! `srflow mer`: jobs of micro-expressions.
+
+use clap::{Args, Subcommand};
+use srflow::mer;
+
+use crate::Context;
+use crate::run::run as run_job;
+
+/// Micro-expression recognition
+#[derive(Args)]
+pub struct Mer {
+    #[command(subcommand)]
+    command: MerCommand,
+}
+
+#[derive(Subcommand)]
+enum MerCommand {
+    Data(mer::data::DataJob),
+    Synth(mer::synth::SynthJob),
+    Apex(mer::apex::ApexJob),
+    Strain(mer::strain::StrainJob),
+    Features(mer::features::FeaturesJob),
+    Run(mer::run::RunJob),
+    Tables(mer::tables::TablesJob),
+}
+
+pub fn run(args: Mer, context: &Context) -> anyhow::Result<()> {
+    match args.command {
+        MerCommand::Data(job) => run_job(&job, context),
+        MerCommand::Synth(job) => run_job(&job, context),
+        MerCommand::Apex(job) => run_job(&job, context),
+        MerCommand::Strain(job) => run_job(&job, context),
+        MerCommand::Features(job) => run_job(&job, context),
+        MerCommand::Run(job) => run_job(&job, context),
+        MerCommand::Tables(job) => run_job(&job, context),
+    }
+}

@@ -1,0 +1,223 @@
+//! Micro-expression recognition with leave-one-subject-out cross-validation.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize, Serializer};
+use srflow_core::Shard;
+use srflow_files::create_folder;
+use srflow_mer::{
+    ClassifierEntry, Preparation, Protocol, ResultsFolder, ResultsRecord, RunFolders, RunMethod, RunResults,
+    RunSettings, Sets, TrainedPart, all_score_tables, by_set, unseen_classes,
+};
+use srflow_read::micro_expression::ClipSource;
+
+use super::progress::RunProgress;
+use super::{PreparationArgs, SourceArgs};
+use crate::clap::Args;
+use crate::methods::{self, MethodParameters, MethodSpec, Rows, RowsArgs, default_methods};
+use crate::output::{ensure_folder, write_line, write_tables};
+use crate::rendering::{Rendered, ShardArgs};
+use crate::{Job, Report, Watch, WhenStopped, machine};
+
+/// Recognize micro-expressions with leave-one-subject-out cross-validation, and write the paper's tables
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[command(after_help = format!("\
+Examples:
+  srflow mer run --data samm:/data/SAMM casme2:/data/CASME2 smic:/data/SMIC --method farneback tvl1 --out results
+  srflow mer run --data clips:rendered --method tvl1 SRFlowNet:skflow=best.safetensors --out results
+  srflow mer run --data clips:rendered --method tvl1 --epochs 21 --out first-look
+
+Each dataset, and all of them together (`composite`), is split by subject: for each held-out subject a classifier is \
+trained on all others and predicts the classes of that subject's clips. docs/mer.md defines every number.
+
+This takes time: with the 201 epochs of the paper's protocol, SAMM, CASME II, SMIC-HS and the composite take about five \
+hours on two CPU cores for each method. For a first look, --epochs 21 takes a tenth of that, --classifier ststnet much \
+less, and --sets each skips the composite. A run can be killed at any time: run the same command again to continue after \
+the last finished fold. Features are never computed twice. With --shard, several processes or machines train parts of the folds \
+into one shared folder; run the command without it when they are done, which writes the results.
+
+{}", super::sources::kinds_help()))]
+pub struct RunJob {
+    /// Datasets
+    #[arg(long, required = true, num_args = 1.., value_name = "KIND:DIR")]
+    pub data: Vec<ClipSource>,
+    /// How to estimate the flow from onset to apex; by default the built-in network, unless `rows` names methods
+    #[arg(
+        long,
+        value_name = "METHOD",
+        default_values_t = default_methods(),
+        default_value_if("rows", ::clap::builder::ArgPredicate::IsPresent, None),
+        num_args = 1..,
+        value_delimiter = ',',
+        help = methods::Method::help_of_several("How to estimate the flow from onset to apex")
+    )]
+    #[serde(default)]
+    pub method: Vec<MethodSpec>,
+    /// Classifier of the features
+    #[arg(long, value_name = "CLASSIFIER", value_enum, default_value_t)]
+    #[serde(default)]
+    pub classifier: ClassifierEntry,
+    /// Train on each dataset, on all together, or both
+    #[arg(long, value_name = "SETS", value_enum, default_value_t)]
+    #[serde(default)]
+    pub sets: Sets,
+    /// Folder for tables.{txt,csv,tex,md}, folds.csv, confusions.csv, predictions.csv, results.json and report.html
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Overwrite these files
+    #[arg(long)]
+    #[serde(default)]
+    pub force: bool,
+    /// Folder that caches features, for other runs too [default: features in --out]
+    #[arg(long, value_name = "DIR")]
+    #[serde(default)]
+    pub cache: Option<PathBuf>,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub protocol: Protocol,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub shard: ShardArgs,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub sources: SourceArgs,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub preparation: PreparationArgs,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub rows: RowsArgs,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub parameters: MethodParameters,
+}
+
+impl RunJob {
+    /// A run on these datasets with the built-in network and the paper's protocol, with results in the folder `out`.
+    pub fn new(data: Vec<ClipSource>, out: impl Into<PathBuf>) -> Self {
+        Self {
+            data,
+            method: default_methods(),
+            classifier: ClassifierEntry::default(),
+            sets: Sets::default(),
+            out: out.into(),
+            force: false,
+            cache: None,
+            protocol: Protocol::default(),
+            shard: ShardArgs::default(),
+            sources: SourceArgs::default(),
+            preparation: PreparationArgs::default(),
+            rows: RowsArgs::default(),
+            parameters: MethodParameters::default(),
+        }
+    }
+}
+
+impl Job for RunJob {
+    const NAME: &'static str = "mer run";
+    const WHEN_STOPPED: WhenStopped = WhenStopped::UnitsKept;
+
+    type Report = RunReport;
+
+    fn work(&self, watch: &Watch) -> anyhow::Result<RunReport> {
+        ensure_folder(&self.out)?;
+        let folder = ResultsFolder::open(&self.out, self.force)?;
+        self.protocol.check()?;
+        let given = match self.method.is_empty() && self.rows.rows.is_none() {
+            true => default_methods(),
+            false => self.method.clone(),
+        };
+        let Rows { methods: specs, left_out, .. } = self.rows.with(&given, watch)?;
+        let mut settings = RunSettings {
+            classifier: self.classifier,
+            sets: self.sets,
+            apex: self.preparation.apex,
+            preparation: Preparation::default(),
+            protocol: self.protocol.clone(),
+            classes: self.sources.classes()?.names().clone(),
+            left_out,
+        };
+        let estimators = methods::estimators(&specs, &self.parameters, watch)?;
+        let records = methods::records(&specs, &self.parameters, watch)?;
+        let methods = estimators.iter().zip(records);
+        let methods = methods.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record });
+        let datasets = self.sources.open(&self.data)?;
+        settings.check(&datasets)?;
+        create_folder(&self.out)?; // before the long work, so that an error costs nothing
+        let landmarks = || self.out.join("landmarks.csv");
+        settings.preparation = self.preparation.preparation(&datasets, landmarks, self.force, watch)?;
+        let folders = RunFolders {
+            features: &self.cache.clone().unwrap_or_else(|| self.out.join("features")),
+            folds: &folder.folds(),
+        };
+        let progress = RunProgress::new(watch);
+        let on_event = |event: srflow_mer::RunEvent| progress.show(event);
+        let shard = self.shard.taken()?;
+        if shard.shard != Shard::WHOLE {
+            let (part, methods) = (shard.shard, methods.collect());
+            let trained = srflow_mer::run_part(datasets, methods, &settings, folders, part, &on_event)?;
+            return Ok(RunReport::Part(Rendered { report: trained, shard }));
+        }
+        let results = srflow_mer::run(datasets, methods.collect(), settings, folders, &on_event)?;
+        let machine = machine::describe();
+        folder.write(&results, &machine)?;
+        Ok(RunReport::Results(Results { results: Box::new(results), machine, page: folder.report() }))
+    }
+}
+
+/// What a [`RunJob`] has done.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+pub enum RunReport {
+    /// The results of all folds.
+    Results(Results),
+    /// A part of the folds is trained.
+    Part(Rendered<TrainedPart>),
+}
+
+/// The results of a run, as its folder holds them.
+#[derive(Debug)]
+pub struct Results {
+    pub results: Box<RunResults>,
+    /// Description of the machine.
+    pub machine: String,
+    /// The report for a browser.
+    pub page: PathBuf,
+}
+
+impl Serialize for Results {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        ResultsRecord::of(&self.results, &self.machine).serialize(serializer)
+    }
+}
+
+impl Report for RunReport {}
+
+impl fmt::Display for RunReport {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Results(results) => results.fmt(f),
+            Self::Part(Rendered { report: TrainedPart { folds, all_folds }, shard }) => writeln!(
+                f,
+                "Part {} is complete: {folds} of {all_folds} folds. When all parts are, the same command without --shard writes the results.",
+                shard.shard
+            ),
+        }
+    }
+}
+
+impl fmt::Display for Results {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let RunResults { outcomes, settings, .. } = &*self.results;
+        write_tables(f, &all_score_tables(outcomes, &settings.left_out))?;
+        for of_set in by_set(outcomes) {
+            if let Some(note) = unseen_classes(of_set[0]) {
+                writeln!(f)?;
+                write_line(f, format_args!("{note}"))?;
+            }
+        }
+        writeln!(f)?;
+        write_line(f, format_args!("Report: {}", self.page.display()))
+    }
+}

@@ -1,0 +1,177 @@
+//! The optical strain between two frames.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use anyhow::ensure;
+use serde::{Deserialize, Serialize};
+use srflow_core::SettingError;
+use srflow_files::{read_image, write_image_png, write_npy, write_npy_plane};
+use srflow_mer::{
+    Channel, FEATURE_SIDE, ResizeOrder, StrainFormula, features_of_frames, optical_strain, strain_colors,
+};
+
+use crate::clap::{Args, ValueEnum};
+use crate::error::wrong_settings;
+use crate::methods::{self, MethodParameters, MethodSpec};
+use crate::output::{ensure_extension, ensure_free, write_line};
+use crate::{Job, Report, Watch};
+
+/// Compute the optical strain between two frames
+#[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[command(after_help = "\
+Examples:
+  srflow mer strain onset.png apex.png -o strain.npy --viz strain.png
+  srflow mer strain onset.png apex.png -o strain.npy --formula off-tanet --method tvl1
+  srflow mer strain onset.png apex.png -o strain.npy --size full
+
+The literature's formula is sqrt(ux^2 + vy^2 + (uy + vx)^2 / 2) with derivatives per pixel; off-tanet is what that \
+network's published code computes, including its error (see docs/mer.md).")]
+pub struct StrainJob {
+    /// Onset frame
+    #[arg(value_name = "A")]
+    pub onset: PathBuf,
+    /// Apex frame
+    #[arg(value_name = "B")]
+    pub apex: PathBuf,
+    /// Strain as .npy array of shape (H, W)
+    #[arg(short, long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Also write u, v and strain, as .npy array of shape (3, 112, 112)
+    #[arg(long, value_name = "FILE", conflicts_with = "size")]
+    #[serde(default)]
+    pub features: Option<PathBuf>,
+    /// Draw the strain: black is zero, white the largest
+    #[arg(long, value_name = "PNG")]
+    #[serde(default)]
+    pub viz: Option<PathBuf>,
+    /// Strain drawn white [default: the largest]
+    #[arg(long, value_name = "STRAIN", requires = "viz")]
+    #[serde(default)]
+    pub viz_max: Option<f32>,
+    /// How to estimate the flow
+    #[arg(long, value_name = "METHOD", default_value_t, help = methods::Method::help())]
+    #[serde(default)]
+    pub method: MethodSpec,
+    /// Formula: literature or off-tanet
+    #[arg(long, value_name = "FORMULA", default_value_t)]
+    #[serde(default)]
+    pub formula: StrainFormula,
+    /// Resize the frames to 112x112 before the flow is estimated, or the flow after
+    #[arg(long, value_name = "ORDER", default_value_t, conflicts_with = "size")]
+    #[serde(default)]
+    pub resize: ResizeOrder,
+    /// Size of the result
+    #[arg(long, value_name = "SIZE", value_enum, default_value_t)]
+    #[serde(default)]
+    pub size: StrainSize,
+    /// Overwrite existing files
+    #[arg(long)]
+    #[serde(default)]
+    pub force: bool,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub parameters: MethodParameters,
+}
+
+/// The size at which strain is computed.
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum StrainSize {
+    /// The input of classifiers.
+    #[default]
+    #[value(name = "112x112")]
+    #[serde(rename = "112x112")]
+    Features,
+    /// The size of the frames.
+    #[value(name = "full")]
+    #[serde(rename = "full")]
+    Full,
+}
+
+impl Job for StrainJob {
+    const NAME: &'static str = "mer strain";
+
+    type Report = StrainReport;
+
+    fn work(&self, watch: &Watch) -> anyhow::Result<StrainReport> {
+        if let Some(max) = self.viz_max.filter(|max| !(*max > 0.0 && max.is_finite())) {
+            let expected = "a positive number, such as 0.5".to_owned();
+            return Err(SettingError { field: "viz_max", found: max.to_string(), expected }.into());
+        }
+        let full = self.size == StrainSize::Full;
+        if full && self.features.is_some() {
+            wrong_settings!("`features` are 112x112: leave out `size`");
+        }
+        let estimator = methods::estimator(&self.method, &self.parameters, watch)?;
+        let outputs = [Some(&self.out), self.features.as_ref(), self.viz.as_ref()];
+        for (path, extension) in outputs.into_iter().zip(["npy", "npy", "png"]) {
+            path.map_or(Ok(()), |path| ensure_extension(path, extension))?;
+        }
+        ensure_free(outputs.into_iter().flatten(), self.force)?;
+        let (onset, apex) = (read_image(&self.onset)?, read_image(&self.apex)?);
+        ensure!(
+            onset.size() == apex.size() && !onset.pixels().is_empty(),
+            "{} is {}x{} and {} {}x{} (WIDTHxHEIGHT): give two frames of one size",
+            self.onset.display(),
+            onset.width(),
+            onset.height(),
+            self.apex.display(),
+            apex.width(),
+            apex.height()
+        );
+        let strain = if full {
+            optical_strain(&estimator.estimate(&onset, &apex)?, self.formula)
+        } else {
+            let features = features_of_frames(&onset, &apex, estimator.as_ref(), self.resize, self.formula)?;
+            if let Some(path) = &self.features {
+                write_npy(path, &[3, FEATURE_SIDE, FEATURE_SIDE], features.values())?;
+            }
+            features.plane(Channel::Strain)
+        };
+        write_npy_plane(&self.out, &strain)?;
+        if let Some(path) = &self.viz {
+            write_image_png(path, &strain_colors(&strain, self.viz_max))?;
+        }
+        let pixels = strain.pixels();
+        Ok(StrainReport {
+            output: self.out.clone(),
+            method: estimator.name().to_owned(),
+            formula: self.formula,
+            resize: (!full).then_some(self.resize),
+            width: strain.width(),
+            height: strain.height(),
+            mean_strain: pixels.iter().map(|&value| f64::from(value)).sum::<f64>()
+                / pixels.len().max(1) as f64,
+            max_strain: pixels.iter().copied().fold(0.0, f32::max),
+        })
+    }
+}
+
+/// The strain that was written.
+#[derive(Debug, Clone, Serialize)]
+pub struct StrainReport {
+    pub output: PathBuf,
+    pub method: String,
+    pub formula: StrainFormula,
+    /// `None` at full size.
+    pub resize: Option<ResizeOrder>,
+    pub width: usize,
+    pub height: usize,
+    pub mean_strain: f64,
+    pub max_strain: f32,
+}
+
+impl Report for StrainReport {}
+
+impl fmt::Display for StrainReport {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Self { output, width, height, mean_strain, max_strain, .. } = self;
+        write_line(
+            f,
+            format_args!(
+                "{}: {width}x{height}, mean strain {mean_strain:.5}, maximum {max_strain:.5}",
+                output.display()
+            ),
+        )
+    }
+}

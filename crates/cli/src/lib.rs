@@ -84,7 +84,7 @@ enum Command {
     Models(commands::models::Models),
     Device(commands::device::DeviceArgs),
     View(commands::view::View),
-    Check(commands::check::Check),
+    Check(srflow::check::CheckJob),
     Merge(srflow::merge::MergeJob),
 }
 
@@ -134,7 +134,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Models(args) => commands::models::run(args, &context),
         Command::Device(args) => commands::device::run(args, &context),
         Command::View(args) => commands::view::run(args, &context),
-        Command::Check(args) => commands::check::run(args, &context),
+        Command::Check(args) => run::run(&args, &context),
         Command::Merge(args) => run::run(&args, &context),
     };
     match result.and_then(|()| Ok(io::stdout().flush()?)) {

@@ -53,4 +53,9 @@ pub trait Report: Serialize + fmt::Display {
     fn stopped(&self) -> bool {
         false
     }
+
+    /// What the job found wrong, such as problems of a dataset that was checked: its command prints the report and then fails.
+    fn failure(&self) -> Option<String> {
+        None
+    }
 }

@@ -21,6 +21,7 @@
 #![cfg_attr(not(feature = "clap"), allow(dead_code, reason = "parsers of arguments"))]
 
 pub mod avatar;
+pub mod check;
 #[doc(hidden)]
 pub mod error;
 #[doc(hidden)]

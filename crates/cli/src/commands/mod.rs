@@ -2,7 +2,6 @@
 
 pub mod ablation;
 pub mod avatar;
-pub mod check;
 pub mod convert;
 pub mod demo;
 pub mod device;

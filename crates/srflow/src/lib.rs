@@ -45,6 +45,7 @@ pub mod networks;
 pub mod opening;
 #[doc(hidden)]
 pub mod output;
+pub mod pack;
 #[doc(hidden)]
 pub mod posed_head;
 pub mod render;

@@ -11,7 +11,6 @@ pub mod flow;
 pub mod mer;
 pub mod metrics;
 pub mod models;
-pub mod pack;
 pub mod rasterize;
 pub mod train;
 pub mod view;

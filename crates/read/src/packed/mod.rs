@@ -21,6 +21,7 @@ mod pattern;
 mod place;
 mod source;
 mod tar;
+mod tar_size;
 mod ustar;
 mod writer;
 
@@ -30,6 +31,7 @@ pub(crate) use index::{INDEX_NAME, Listing, read_index};
 pub(crate) use pattern::expand;
 pub(crate) use place::Place;
 pub use tar::Member;
+pub use tar_size::TarSize;
 pub(crate) use tar::{Contents, SampleMembers, scan};
 
 /// What a member may contain, by the first word of its extension, with its meaning.

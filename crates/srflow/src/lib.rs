@@ -26,6 +26,7 @@ pub mod check;
 pub mod error;
 #[doc(hidden)]
 pub mod face;
+pub mod figure;
 mod job;
 #[doc(hidden)]
 pub mod job_engine;

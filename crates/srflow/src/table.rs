@@ -3,7 +3,7 @@
 use serde_json::{Map, Value};
 
 use crate::error::WrongSettings;
-use crate::{Error, Job, Report, Watch, avatar, mer, merge, render, shapes};
+use crate::{Error, Job, Report, Watch, avatar, check, figure, mer, merge, pack, render, shapes};
 
 /// A job that is known by its name.
 pub struct Entry {
@@ -40,6 +40,9 @@ jobs![
     render::RenderJob,
     shapes::ShapesJob,
     merge::MergeJob,
+    pack::PackJob,
+    check::CheckJob,
+    figure::FigureJob,
     avatar::capture::CaptureJob,
     mer::synth::SynthJob,
 ];
@@ -68,7 +71,8 @@ impl Entry {
             None => Ok(()),
             Some(name) => {
                 let known = known.join(", ");
-                Err(anyhow::Error::from(WrongSettings(format!("no setting is called `{name}`; {known}"))).into())
+                Err(anyhow::Error::from(WrongSettings(format!("no setting is called `{name}`; {known}")))
+                    .into())
             }
         }
     }
@@ -110,7 +114,9 @@ mod tests {
     fn unknown_and_wrong_settings_are_named() {
         let refused = |settings: Value| {
             let Value::Object(settings) = settings else { unreachable!("an object is given") };
-            Entry::named("render").and_then(|entry| entry.run(settings, &Watch::SILENT).err()).map(|e| e.to_string())
+            Entry::named("render")
+                .and_then(|entry| entry.run(settings, &Watch::SILENT).err())
+                .map(|e| e.to_string())
         };
         let error = refused(serde_json::json!({ "out": "/nowhere", "scense": 3 })).expect("refused");
         assert!(error.contains("`scense`") && error.contains("scenes"), "{error}");

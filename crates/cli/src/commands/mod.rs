@@ -6,7 +6,6 @@ pub mod convert;
 pub mod demo;
 pub mod device;
 pub mod eval;
-pub mod figure;
 pub mod flow;
 pub mod mer;
 pub mod metrics;

@@ -31,8 +31,8 @@ pub(crate) use index::{INDEX_NAME, Listing, read_index};
 pub(crate) use pattern::expand;
 pub(crate) use place::Place;
 pub use tar::Member;
-pub use tar_size::TarSize;
 pub(crate) use tar::{Contents, SampleMembers, scan};
+pub use tar_size::TarSize;
 
 /// What a member may contain, by the first word of its extension, with its meaning.
 pub const FIELDS: [(&str, &str); 10] = [

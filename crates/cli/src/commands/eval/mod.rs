@@ -381,7 +381,7 @@ fn write_figure(dir: &Path, methods: &[Method], pairs: &[Pair]) -> anyhow::Resul
         captions: None,
     };
     let figure = plan.compose(pairs)?.figure;
-    super::figure::write_panels(dir, &figure)?;
+    srflow::figure::write_panels(dir, &figure)?;
     let drawing = figure.drawing(&Style::default())?;
     let contents = [drawing.svg()?.into_bytes(), drawing.pdf()?];
     for (name, content) in FIGURES.iter().zip(contents) {

@@ -49,7 +49,7 @@ pub fn exit_if_stopped(stopped: bool) -> anyhow::Result<()> {
 
 /// Runs `job` with a progress bar on standard error; lines where it is no terminal.
 pub fn watched<J: Job>(job: &J) -> Result<J::Report, Error> {
-    let continuable = match J::WHEN_STOPPED {
+    let continuable = match job.when_stopped() {
         WhenStopped::Lost => None,
         WhenStopped::UnitsKept => Some(Continuable::dropping(|| BARS.left())),
         WhenStopped::Saved => Some(Continuable::saved()),

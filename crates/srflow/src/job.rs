@@ -22,6 +22,11 @@ pub trait Job: Serialize + DeserializeOwned {
         None
     }
 
+    /// What happens to unfinished work of this job; for jobs whose settings decide.
+    fn when_stopped(&self) -> WhenStopped {
+        Self::WHEN_STOPPED
+    }
+
     /// Does the work.
     ///
     /// # Errors

@@ -24,6 +24,7 @@ pub mod avatar;
 pub mod check;
 #[doc(hidden)]
 pub mod error;
+pub mod eval;
 #[doc(hidden)]
 pub mod face;
 pub mod figure;

@@ -1,10 +1,11 @@
 //! Where results go: nothing is overwritten unless the job says so, and tables look alike.
 
 use std::ffi::OsStr;
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use srflow_eval::{Table, latex_file};
+use srflow_eval::{Table, TextStyle, joined, latex_file};
 
 use crate::error::wrong_settings;
 use crate::video::is_video;
@@ -37,6 +38,13 @@ pub fn ensure_extension(file: &Path, extension: &str) -> anyhow::Result<()> {
         wrong_settings!("{}: this output is a .{extension} file: give it that extension", file.display());
     }
     Ok(())
+}
+
+/// Writes tables as text, with `{:#}` in colours.
+pub(crate) fn write_tables(f: &mut fmt::Formatter, tables: &[Table]) -> fmt::Result {
+    let style = if f.alternate() { TextStyle::Ansi } else { TextStyle::Plain };
+    let text = joined(tables, |table| table.text(style));
+    writeln!(f, "{}", text.trim_end())
 }
 
 /// Tables as one LaTeX file.

@@ -3,7 +3,7 @@
 use serde_json::{Map, Value};
 
 use crate::error::WrongSettings;
-use crate::{Error, Job, Report, Watch, avatar, check, figure, mer, merge, pack, render, shapes};
+use crate::{Error, Job, Report, Watch, avatar, check, eval, figure, mer, merge, pack, render, shapes};
 
 /// A job that is known by its name.
 pub struct Entry {
@@ -42,6 +42,7 @@ jobs![
     merge::MergeJob,
     pack::PackJob,
     check::CheckJob,
+    eval::EvalJob,
     figure::FigureJob,
     avatar::capture::CaptureJob,
     mer::synth::SynthJob,

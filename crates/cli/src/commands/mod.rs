@@ -5,7 +5,6 @@ pub mod avatar;
 pub mod convert;
 pub mod demo;
 pub mod device;
-pub mod eval;
 pub mod flow;
 pub mod mer;
 pub mod metrics;

@@ -13,8 +13,13 @@ use crate::progress::{Lines, bar};
 /// Runs `job` and prints its report. A job that was stopped ends the process with exit code 75.
 ///
 /// # Errors
-/// Those of the job, and when standard output cannot be written to.
+/// Those of the job, what its report says is wrong, and when standard output cannot be written to.
 pub fn run<J: Job>(job: &J, context: &Context) -> anyhow::Result<()> {
+    reported(job, context).map(drop)
+}
+
+/// As [`run`]; returns the report.
+pub fn reported<J: Job>(job: &J, context: &Context) -> anyhow::Result<J::Report> {
     let report = watched(job)?;
     if context.json {
         print_json(&report)?;
@@ -23,7 +28,11 @@ pub fn run<J: Job>(job: &J, context: &Context) -> anyhow::Result<()> {
     } else {
         print_text(&report.to_string())?;
     }
-    exit_if_stopped(report.stopped())
+    exit_if_stopped(report.stopped())?;
+    match report.failure() {
+        Some(failure) => Err(anyhow::Error::msg(failure)),
+        None => Ok(report),
+    }
 }
 
 /// Exits the program if the run was stopped.
@@ -40,7 +49,7 @@ pub fn exit_if_stopped(stopped: bool) -> anyhow::Result<()> {
 
 /// Runs `job` with a progress bar on standard error; lines where it is no terminal.
 pub fn watched<J: Job>(job: &J) -> Result<J::Report, Error> {
-    let continuable = match J::WHEN_STOPPED {
+    let continuable = match job.when_stopped() {
         WhenStopped::Lost => None,
         WhenStopped::UnitsKept => Some(Continuable::dropping(|| BARS.left())),
         WhenStopped::Saved => Some(Continuable::saved()),

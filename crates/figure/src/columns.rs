@@ -1,5 +1,6 @@
 //! What the columns of a figure show, as words: `frame1`, `truth`, `flow:tvl1`, `flow+error`.
 
+use std::fmt;
 use std::str::FromStr;
 
 use srflow_core::{excerpt, named};
@@ -86,6 +87,21 @@ impl Column {
             kind.is_of_method() && name.as_deref() != Some(Kind::Truth.name())
         };
         self.words.iter().any(of_method)
+    }
+}
+
+srflow_core::serialize_as_text!(Column);
+
+impl fmt::Display for Column {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (place, (kind, name)) in self.words.iter().enumerate() {
+            let plus = if place == 0 { "" } else { "+" };
+            match name {
+                Some(name) => write!(f, "{plus}{kind}:{name}")?,
+                None => write!(f, "{plus}{kind}")?,
+            }
+        }
+        Ok(())
     }
 }
 

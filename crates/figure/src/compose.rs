@@ -58,7 +58,7 @@ pub enum ComposeError {
         "{pair}: {what} is {}x{}, expected {}x{} (WIDTHxHEIGHT) as frame 1 is", .found.0, .found.1, .frame.0, .frame.1
     )]
     Size { pair: String, what: String, found: (usize, usize), frame: (usize, usize) },
-    #[error("{what}: expected {expected}, one for each {of}, found {found}")]
+    #[error("`{what}`: expected {expected}, one for each {of}, found {found}")]
     Count { what: &'static str, of: &'static str, expected: usize, found: usize },
 }
 

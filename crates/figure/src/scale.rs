@@ -1,3 +1,4 @@
+use std::fmt;
 use std::str::FromStr;
 
 /// Upper end of a scale of colours.
@@ -9,6 +10,18 @@ pub enum Scale {
     Pair,
     /// This value.
     Fixed(f32),
+}
+
+srflow_core::serialize_as_text!(Scale);
+
+impl fmt::Display for Scale {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Pair => f.write_str("pair"),
+            Self::Fixed(value) => write!(f, "{value}"),
+        }
+    }
 }
 
 impl FromStr for Scale {
@@ -78,6 +91,9 @@ mod tests {
         let ends = scales.ends(&suitable);
         assert_eq!(ends[0], Ends { flow: 4.0, error: 0.5, strain: 0.5 });
         assert_eq!(ends[1], Ends { flow: 4.0, error: 2.0, strain: 0.5 });
+        for text in ["auto", "pair", "2.5"] {
+            assert_eq!(text.parse::<Scale>().unwrap().to_string(), text);
+        }
         for wrong in ["", "0", "-1", "nan", "inf", "1e99", "row"] {
             assert!(wrong.parse::<Scale>().is_err(), "{wrong}");
         }

@@ -407,13 +407,13 @@ fn pairs_that_do_not_fit_the_plan_are_refused() {
     refused(
         &Plan { titles, ..plan(&["flow"]) },
         usual(),
-        &["titles: expected 2, one for each column, found 1"],
+        &["`titles`: expected 2, one for each column, found 1"],
     );
     let captions = Some(vec![String::new(); 3]);
     refused(
         &Plan { captions, ..plan(&["flow"]) },
         usual(),
-        &["captions: expected 2, one for each panel, found 3"],
+        &["`captions`: expected 2, one for each panel, found 3"],
     );
 }
 

@@ -22,6 +22,11 @@ pub trait Job: Serialize + DeserializeOwned {
         None
     }
 
+    /// What happens to unfinished work of this job; for jobs whose settings decide.
+    fn when_stopped(&self) -> WhenStopped {
+        Self::WHEN_STOPPED
+    }
+
     /// Does the work.
     ///
     /// # Errors
@@ -52,5 +57,10 @@ pub trait Report: Serialize + fmt::Display {
     /// Whether the job was stopped before its end; running it again continues.
     fn stopped(&self) -> bool {
         false
+    }
+
+    /// What the job found wrong, such as problems of a dataset that was checked: its command prints the report and then fails.
+    fn failure(&self) -> Option<String> {
+        None
     }
 }

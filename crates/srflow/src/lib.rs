@@ -23,11 +23,14 @@
 pub mod avatar;
 pub mod convert;
 pub mod device;
+pub mod check;
 #[doc(hidden)]
 pub mod error;
+pub mod eval;
 #[doc(hidden)]
 pub mod face;
 pub mod flow;
+pub mod figure;
 mod job;
 #[doc(hidden)]
 pub mod job_engine;
@@ -49,6 +52,7 @@ pub mod networks;
 pub mod opening;
 #[doc(hidden)]
 pub mod output;
+pub mod pack;
 #[doc(hidden)]
 pub mod posed_head;
 pub mod render;

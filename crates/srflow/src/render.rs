@@ -160,16 +160,6 @@ impl fmt::Display for Rendered<RenderReport> {
     }
 }
 
-/// The paper's Table I and the histogram of flow magnitudes.
-#[doc(hidden)]
-pub struct StatisticsText<'a>(pub &'a Statistics);
-
-impl fmt::Display for StatisticsText<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        write_statistics(f, self.0)
-    }
-}
-
 /// Writes the paper's Table I and the histogram of flow magnitudes.
 pub(crate) fn write_statistics(f: &mut fmt::Formatter, statistics: &Statistics) -> fmt::Result {
     writeln!(f, "\nScenes        {}", statistics.scenes)?;

@@ -3,7 +3,9 @@
 use serde_json::{Map, Value};
 
 use crate::settings::from_json;
-use crate::{Error, Job, Watch, avatar, convert, device, flow, mer, merge, metrics, models, render, shapes};
+use crate::{
+    Error, Job, Watch, avatar, check, convert, device, eval, figure, flow, mer, merge, metrics, models, pack, render, shapes,
+};
 
 /// A job that is known by its name.
 pub struct Entry {
@@ -49,8 +51,18 @@ jobs![
     device::TimeNetworkJob,
     device::TimeRasterizerJob,
     merge::MergeJob,
+    pack::PackJob,
+    check::CheckJob,
+    eval::EvalJob,
+    figure::FigureJob,
     avatar::capture::CaptureJob,
+    mer::data::DataJob,
     mer::synth::SynthJob,
+    mer::apex::ApexJob,
+    mer::strain::StrainJob,
+    mer::features::FeaturesJob,
+    mer::run::RunJob,
+    mer::tables::TablesJob,
 ];
 
 impl Entry {
@@ -99,7 +111,9 @@ mod tests {
     fn unknown_and_wrong_settings_are_named() {
         let refused = |settings: Value| {
             let Value::Object(settings) = settings else { unreachable!("an object is given") };
-            Entry::named("render").and_then(|entry| entry.run(settings, &Watch::SILENT).err()).map(|e| e.to_string())
+            Entry::named("render")
+                .and_then(|entry| entry.run(settings, &Watch::SILENT).err())
+                .map(|e| e.to_string())
         };
         let error = refused(serde_json::json!({ "out": "/nowhere", "scense": 3 })).expect("refused");
         assert!(error.contains("`scense`") && error.contains("scenes"), "{error}");

@@ -2,14 +2,10 @@
 
 pub mod ablation;
 pub mod avatar;
-pub mod check;
 pub mod demo;
 pub mod device;
-pub mod eval;
-pub mod figure;
 pub mod mer;
 pub mod models;
-pub mod pack;
 pub mod rasterize;
 pub mod train;
 pub mod view;

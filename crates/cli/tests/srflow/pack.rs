@@ -213,7 +213,7 @@ fn mistakes_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("packed");
     refuses(&pack(folder.path(), &out, &[]), 1, &["dataset.json or shapes.json", "found none"]);
-    refuses(&pack(rendered(), rendered(), &[]), 2, &["--out: expected another folder"]);
+    refuses(&pack(rendered(), rendered(), &[]), 2, &["--out", "expected another folder"]);
     refuses(&pack(rendered(), &out, &["--shard-size", "1kB"]), 2, &["--shard-size", "65536"]);
     refuses(&pack(rendered(), &out, &["--shard-size", "big"]), 2, &["a size such as 500MB"]);
     fs::create_dir_all(&out).unwrap();

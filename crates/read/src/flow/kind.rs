@@ -60,6 +60,8 @@ impl fmt::Display for DatasetSpec {
     }
 }
 
+srflow_core::serialize_as_text!(DatasetSpec);
+
 impl FromStr for DatasetSpec {
     type Err = DatasetError;
 

@@ -21,6 +21,7 @@ mod pattern;
 mod place;
 mod source;
 mod tar;
+mod tar_size;
 mod ustar;
 mod writer;
 
@@ -31,6 +32,7 @@ pub(crate) use pattern::expand;
 pub(crate) use place::Place;
 pub use tar::Member;
 pub(crate) use tar::{Contents, SampleMembers, scan};
+pub use tar_size::TarSize;
 
 /// What a member may contain, by the first word of its extension, with its meaning.
 pub const FIELDS: [(&str, &str); 10] = [

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sha2::{Digest, Sha256};
-use srflow_core::{FlowField, excerpt, named};
+use srflow_core::{FlowField, SettingError, excerpt, named, serialize_as_text};
 use srflow_files::{
     FileBytes, FileError, FileKind, FileProblem, FlowFormat, LockError, RunLock, SHA256SUMS, create_folder,
     encode_flow, encode_flow_half, hexadecimal, read_file, read_flow, read_json_lines, remove_partial,
@@ -19,7 +19,9 @@ use srflow_files::{
 use super::index::{FlowStatistics, INDEX_NAME, IndexRecord, MemberRecord, lines};
 use super::place::Place;
 use super::source::{PairSource, Source};
+use super::tar_size::TarSize;
 use super::{card, croissant, is_plain, ustar};
+use crate::clap::Args;
 use crate::flow::DatasetError;
 use crate::manifest::{ManifestError, SceneSplit};
 
@@ -55,6 +57,8 @@ named!(PackedFlow, "a format of packed flow", {
     Png => "png",
     Npz16 => "npz16",
 });
+
+serialize_as_text!(PackedFlow);
 
 impl PackedFlow {
     /// The file extension.
@@ -96,17 +100,21 @@ impl PackedFlow {
     }
 }
 
-/// The arguments that determine the bytes of a packed dataset.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// The settings that determine the bytes of a packed dataset.
+#[derive(Args, Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct PackSettings {
+    /// Flow: npy (float16), npy32 (float32), png (KITTI's 16-bit PNG) or npz16 (as `srflow render` writes it)
+    #[arg(long, value_name = "FORMAT", default_value_t = Self::default().flow)]
     pub flow: PackedFlow,
-    /// Largest size of a tar in bytes, about.
-    pub shard_size: u64,
+    /// Approximate size of a tar: bytes, or with kB, MB or GB
+    #[arg(long, value_name = "SIZE", default_value_t = Self::default().shard_size)]
+    pub shard_size: TarSize,
 }
 
 impl Default for PackSettings {
     fn default() -> Self {
-        Self { flow: PackedFlow::Npy, shard_size: 1_000_000_000 }
+        Self { flow: PackedFlow::Npy, shard_size: TarSize { bytes: 1_000_000_000 } }
     }
 }
 
@@ -160,11 +168,11 @@ pub enum PackError {
     /// The folder has no dataset that can be packed.
     #[error("{}: expected the folder of a dataset of `srflow render` or `srflow shapes` (with dataset.json or shapes.json), found none", .dir.display())]
     NoDataset { dir: PathBuf },
-    /// An argument is out of range.
-    #[error("{argument}: expected {expected}, found {found}")]
-    Argument { argument: &'static str, expected: String, found: String },
+    /// A setting is out of range.
+    #[error("{0}")]
+    Setting(#[from] SettingError),
     /// The folder has something else in it.
-    #[error("{}: {found}; choose another folder, or give --force to delete it", .dir.display())]
+    #[error("{}: {found}; choose another folder, or give `force` to delete it", .dir.display())]
     Occupied {
         dir: PathBuf,
         /// What was found.
@@ -174,7 +182,7 @@ pub enum PackError {
     #[error("{}: {reason}", .path.display())]
     Content { path: PathBuf, reason: String },
     /// A flow cannot be packed as asked.
-    #[error("{}: {problem}; choose another --flow", .path.display())]
+    #[error("{}: {problem}; choose another `flow`", .path.display())]
     Flow {
         path: PathBuf,
         #[source]
@@ -249,14 +257,14 @@ pub(super) struct Packed<'a> {
 /// When the dataset is incomplete or broken, the folder has another packed dataset, or a flow cannot be packed as asked.
 pub fn pack(settings: PackSettings, request: &PackRequest) -> Result<PackReport, PackError> {
     let PackRequest { dir, out, .. } = *request;
-    if settings.shard_size < SMALLEST_TAR || settings.shard_size > ustar::LARGEST {
+    if !(SMALLEST_TAR..=ustar::LARGEST).contains(&settings.shard_size.bytes) {
         let expected = format!("{SMALLEST_TAR} to {} bytes", ustar::LARGEST);
         let found = settings.shard_size.to_string();
-        return Err(PackError::Argument { argument: "--shard-size", expected, found });
+        return Err(SettingError { field: "shard_size", found, expected }.into());
     }
     if fs::canonicalize(dir).ok().is_some_and(|dir| fs::canonicalize(out).is_ok_and(|out| out == dir)) {
         let expected = "another folder than the dataset's".to_owned();
-        return Err(PackError::Argument { argument: "--out", expected, found: out.display().to_string() });
+        return Err(SettingError { field: "out", found: out.display().to_string(), expected }.into());
     }
     let source = Source::open(dir)?;
     let Some(first) = source.first() else { return Err(PackError::NoDataset { dir: dir.to_owned() }) };
@@ -367,7 +375,7 @@ fn plan(
             (request.on_event)(PackEvent::Found { pairs: found });
             Ok::<_, PackError>(())
         })?;
-        let count = bytes.div_ceil(settings.shard_size).clamp(1, pairs.max(1));
+        let count = bytes.div_ceil(settings.shard_size.bytes).clamp(1, pairs.max(1));
         if pairs > 0 {
             let start = |number: u64| (u128::from(pairs) * u128::from(number) / u128::from(count)) as u64;
             shards.extend((0..count).map(|number| {
@@ -439,7 +447,7 @@ fn prepare(source: &Source, settings: PackSettings, request: &PackRequest) -> Re
         "pack_version": PACK_VERSION,
         "srflow_version": env!("CARGO_PKG_VERSION"),
         "flow": settings.flow.name(),
-        "shard_size": settings.shard_size,
+        "shard_size": settings.shard_size.bytes,
         "command": source.command,
         "dataset": source.description,
     });
@@ -486,11 +494,11 @@ fn clear(out: &Path, force: bool) -> Result<(), PackError> {
             false if name.starts_with('.') => {}
             false => {
                 let name = excerpt(&name);
-                return Err(PackError::Argument {
-                    argument: "--out",
+                return Err(PackError::Setting(SettingError {
+                    field: "out",
+                    found: format!("{name} in {}", out.display()),
                     expected: "an empty folder, or one with a packed dataset".to_owned(),
-                    found: format!("{} in {}", name, out.display()),
-                });
+                }));
             }
         }
     }

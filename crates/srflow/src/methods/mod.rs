@@ -9,7 +9,8 @@ use std::path::Path;
 use std::str::FromStr;
 
 use crate::clap::Args;
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 use srflow_classical::{Farneback, FarnebackParameters, Refined, TvL1, TvL1Parameters};
 use srflow_core::{FlowEstimator, FlowField, Image};
 use srflow_eval::{FlowFiles, Zero};
@@ -185,6 +186,14 @@ pub fn scored_method(text: &str) -> Result<MethodSpec, String> {
         }),
         None => text.parse(),
     }
+}
+
+/// Deserializes methods with [`scored_method`].
+pub(crate) fn scored_methods<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Vec<MethodSpec>, D::Error> {
+    let texts = Vec::<String>::deserialize(deserializer)?;
+    texts.iter().map(|text| scored_method(text)).collect::<Result<_, _>>().map_err(D::Error::custom)
 }
 
 /// Splits `files:DIR` or `LABEL:files:DIR`.

@@ -1,4 +1,4 @@
-//! Scores that are kept until all pairs have theirs, in `scored/` of `--out`.
+//! Scores that are kept until all pairs have theirs, in the folder `scored` of the results.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -10,11 +10,12 @@ use srflow_eval::{KeptPair, KeptScores, ScoredPair};
 use srflow_files::{JsonLines, create_folder, read_json_lines};
 use srflow_read::flow::{Entry, EntryFile, FlowDataset};
 
-use super::Eval;
-use crate::methods::{self, MethodSpec};
-use srflow::wrong_settings;
+use super::EvalJob;
+use crate::Watch;
+use crate::error::wrong_settings;
+use crate::methods::{self, MethodParameters, MethodSpec};
 
-/// Scores that `--out` keeps until all pairs are scored.
+/// Scores that are kept until all pairs are scored.
 pub struct Kept {
     folder: PathBuf,
     file: PathBuf,
@@ -25,35 +26,42 @@ pub struct Kept {
     found: Vec<KeptPair>,
 }
 
+/// What scores are not kept without: none without a folder for them, or for methods whose flow depends on other pairs or on files,
+/// which may change.
+pub fn missing(job: &EvalJob, specs: &[MethodSpec]) -> Option<String> {
+    let remembers =
+        |spec: &MethodSpec| spec.method.network().is_some_and(|network| network.facts().remembers);
+    let is_alone = |spec: &MethodSpec| spec.method != methods::Method::Files && !remembers(spec);
+    match (&job.out, specs.iter().find(|spec| !is_alone(spec)), job.face.is_whole()) {
+        (None, ..) => Some("`out` DIR too, into which the parts write their scores".to_owned()),
+        (_, Some(spec), _) => {
+            Some(format!("methods that estimate each pair by itself; leave out {}", spec.method.name()))
+        }
+        (.., false) => {
+            Some("whole frames or `crop`; leave out `face`, `face_box` and `landmarks`".to_owned())
+        }
+        (Some(_), None, true) => None,
+    }
+}
+
 impl Kept {
-    /// `None` without `--out`, and for methods whose flow depends on other pairs or on files, which may change.
+    /// `None` where scores are not kept; see [`missing`].
     pub fn open(
-        args: &Eval,
+        job: &EvalJob,
+        parameters: &MethodParameters,
         dataset: &FlowDataset,
         specs: &[MethodSpec],
         shard: Shard,
+        watch: &Watch,
     ) -> anyhow::Result<Option<Self>> {
-        let remembers =
-            |spec: &MethodSpec| spec.method.network().is_some_and(|network| network.facts().remembers);
-        let is_alone = |spec: &MethodSpec| spec.method != methods::Method::Files && !remembers(spec);
-        let cannot = match (&args.out, specs.iter().find(|spec| !is_alone(spec)), args.face.is_whole()) {
-            (None, ..) => Some("--out DIR too, into which the parts write their scores".to_owned()),
-            (_, Some(spec), _) => {
-                Some(format!("methods that estimate each pair by itself; leave out {}", spec.method.name()))
-            }
-            (.., false) => {
-                Some("whole frames or --crop; leave out --face, --face-box and --landmarks".to_owned())
-            }
-            (Some(_), None, true) => None,
-        };
-        match (cannot, &args.out) {
+        match (missing(job, specs), &job.out) {
             (None, Some(out)) => {
-                let records: Vec<String> = methods::records(specs, &args.parameters, &crate::run::WATCH)?
+                let records: Vec<String> = methods::records(specs, parameters, watch)?
                     .iter()
                     .map(|record| format!("{}: {}", record.name, record.identity()))
                     .collect();
-                let Eval { crop, regions, small_motion, expression, .. } = args;
-                let text = format!(
+                let EvalJob { crop, regions, small_motion, expression, .. } = job;
+                let evaluation = format!(
                     "srflow {} {} {:?} {crop:?} {regions} {small_motion:?} {expression} {}",
                     env!("CARGO_PKG_VERSION"),
                     dataset.name(),
@@ -63,11 +71,11 @@ impl Kept {
                 let folder = out.join("scored");
                 let stamps = dataset.entries().iter().map(|entry| (entry.id(), stamp(entry))).collect();
                 let file = folder.join(format!("{}-of-{}.jsonl", shard.number, shard.of));
-                let mut kept = Self { file, folder, evaluation: text, stamps, found: Vec::new() };
+                let mut kept = Self { file, folder, evaluation, stamps, found: Vec::new() };
                 kept.read()?;
                 Ok(Some(kept))
             }
-            (Some(cannot), _) if shard != Shard::WHOLE => wrong_settings!("--shard needs {cannot}"),
+            (Some(missing), _) if shard != Shard::WHOLE => wrong_settings!("`shard` needs {missing}"),
             _ => Ok(None),
         }
     }
@@ -112,12 +120,12 @@ impl Kept {
 
 /// Sizes and times of a pair's files, or of the tars they are in; those on the web have none.
 fn stamp(entry: &Entry) -> String {
-    let of_file = |file: &EntryFile| {
+    let stamp = |file: &EntryFile| {
         let place = file.on_disk().or_else(|| Some(file.path().parent()?.to_owned()))?;
         let metadata = std::fs::metadata(place).ok()?;
         let modified = metadata.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
         Some(format!("{} {}", metadata.len(), modified.as_nanos()))
     };
-    let stamps: Vec<String> = entry.files().map(|file| of_file(file).unwrap_or_default()).collect();
+    let stamps: Vec<String> = entry.files().map(|file| stamp(file).unwrap_or_default()).collect();
     stamps.join(", ")
 }

@@ -20,6 +20,7 @@
 //! the rasterizer ([`splat`]), classical methods ([`classical`]) and networks ([`nets`]).
 #![cfg_attr(not(feature = "clap"), allow(dead_code, reason = "parsers of arguments"))]
 
+pub mod ablation;
 pub mod avatar;
 #[doc(hidden)]
 pub mod error;
@@ -53,6 +54,7 @@ pub mod rendering;
 pub mod scoring;
 pub mod shapes;
 mod table;
+pub mod train;
 #[doc(hidden)]
 pub mod video;
 mod watch;

@@ -1,10 +1,11 @@
 //! Where results go: nothing is overwritten unless the job says so, and tables look alike.
 
 use std::ffi::OsStr;
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use srflow_eval::{Table, latex_file};
+use srflow_eval::{Table, TextStyle, joined, latex_file};
 
 use crate::error::wrong_settings;
 use crate::video::is_video;
@@ -42,4 +43,10 @@ pub fn ensure_extension(file: &Path, extension: &str) -> anyhow::Result<()> {
 /// Tables as one LaTeX file.
 pub fn latex(tables: &[Table]) -> String {
     latex_file(tables.iter().map(|table| (table.title.clone(), table.latex())))
+}
+
+/// Writes tables for people, in colours in the alternate form.
+pub fn write_tables(f: &mut fmt::Formatter, tables: &[Table]) -> fmt::Result {
+    let style = if f.alternate() { TextStyle::Ansi } else { TextStyle::Plain };
+    writeln!(f, "{}", joined(tables, |table| table.text(style)).trim_end())
 }

@@ -3,7 +3,7 @@
 use serde_json::{Map, Value};
 
 use crate::error::WrongSettings;
-use crate::{Error, Job, Report, Watch, avatar, mer, merge, render, shapes};
+use crate::{Error, Job, Report, Watch, ablation, avatar, mer, merge, render, shapes, train};
 
 /// A job that is known by its name.
 pub struct Entry {
@@ -39,6 +39,8 @@ macro_rules! jobs {
 jobs![
     render::RenderJob,
     shapes::ShapesJob,
+    train::TrainJob,
+    ablation::AblationJob,
     merge::MergeJob,
     avatar::capture::CaptureJob,
     mer::synth::SynthJob,

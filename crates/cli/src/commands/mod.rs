@@ -1,6 +1,5 @@
 //! One file per command: its arguments, and `run`.
 
-pub mod ablation;
 pub mod avatar;
 pub mod check;
 pub mod convert;
@@ -14,5 +13,4 @@ pub mod metrics;
 pub mod models;
 pub mod pack;
 pub mod rasterize;
-pub mod train;
 pub mod view;

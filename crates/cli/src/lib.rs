@@ -23,7 +23,7 @@ mod run;
 mod usage;
 
 use srflow::{
-    face, large_frames, machine, made, methods, networks, opening, posed_head, rendering, scoring, video,
+    face, large_frames, machine, methods, networks, opening, posed_head, rendering, scoring, video,
 };
 
 use std::ffi::OsString;
@@ -67,7 +67,7 @@ pub(crate) struct Context {
 
 #[derive(Subcommand)]
 enum Command {
-    Demo(commands::demo::Demo),
+    Demo(srflow::demo::DemoJob),
     Render(srflow::render::RenderJob),
     Shapes(srflow::shapes::ShapesJob),
     Pack(commands::pack::Pack),
@@ -117,7 +117,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         }
     });
     let result: anyhow::Result<()> = match cli.command {
-        Command::Demo(args) => commands::demo::run(args, &context),
+        Command::Demo(args) => run::run(&args, &context),
         Command::Render(args) => run::run(&args, &context),
         Command::Shapes(args) => run::run(&args, &context),
         Command::Pack(args) => commands::pack::run(args, &context),

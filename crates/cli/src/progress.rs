@@ -122,11 +122,6 @@ impl TrainingProgress {
         }
     }
 
-    /// Counts a step of which there is nothing to say.
-    pub fn skip(&self, step: u64) {
-        self.bar.set_position(step);
-    }
-
     /// What is done besides steps, on the bar.
     pub fn message(&self, words: String) {
         self.bar.set_message(words);

@@ -6,9 +6,9 @@ use srflow_train::TrainError;
 use srflow_train::ranks::Communicator;
 
 use crate::output::exit_stopped;
+use crate::{Context, FAILED, fail, run};
 #[cfg(not(feature = "mpi"))]
 use srflow::wrong_settings;
-use crate::{Context, FAILED, fail, run};
 
 /// Trains, and prints the report. With `mpi` the first process prints it.
 ///

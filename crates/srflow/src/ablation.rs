@@ -194,7 +194,9 @@ fn test_sets(given: &[Source], base: &Config) -> anyhow::Result<Vec<FlowDataset>
     };
     let open = |source: &Source| {
         let Some(files) = source.files() else {
-            bail!("`test` is missing: {source} is made while training and has no test split; name one, KIND:DIR");
+            bail!(
+                "`test` is missing: {source} is made while training and has no test split; name one, KIND:DIR"
+            );
         };
         Ok(FlowDataset::open(files, source.split)?)
     };

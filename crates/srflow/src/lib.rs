@@ -22,10 +22,13 @@
 
 pub mod ablation;
 pub mod avatar;
+pub mod demo;
 #[doc(hidden)]
 pub mod error;
 #[doc(hidden)]
 pub mod face;
+#[doc(hidden)]
+pub mod head_page;
 mod job;
 #[doc(hidden)]
 pub mod job_engine;

@@ -3,7 +3,7 @@
 use serde_json::{Map, Value};
 
 use crate::error::WrongSettings;
-use crate::{Error, Job, Report, Watch, ablation, avatar, mer, merge, render, shapes, train};
+use crate::{Error, Job, Report, Watch, ablation, avatar, demo, mer, merge, render, shapes, train};
 
 /// A job that is known by its name.
 pub struct Entry {
@@ -37,6 +37,7 @@ macro_rules! jobs {
 }
 
 jobs![
+    demo::DemoJob,
     render::RenderJob,
     shapes::ShapesJob,
     train::TrainJob,

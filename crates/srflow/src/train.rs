@@ -201,7 +201,9 @@ impl TrainJob {
         let out = match &self.out {
             Some(out) => out.clone(),
             None if self.print_config => PathBuf::new(),
-            None => wrong_settings!("`out` is missing: give the folder of the run, or one to continue as `resume`"),
+            None => wrong_settings!(
+                "`out` is missing: give the folder of the run, or one to continue as `resume`"
+            ),
         };
         let config = self.overrides.apply(configuration(self.config.as_deref())?)?;
         Ok(Run { config, out, mode: RunMode::New })
@@ -449,7 +451,13 @@ impl<'a> Steps<'a> {
             _ => Map::new(),
         };
         facts.insert("event".to_owned(), json!(event));
-        (self.watch.on_progress)(&Progress { done, total: Some(self.total), unit: "steps".into(), message, facts });
+        (self.watch.on_progress)(&Progress {
+            done,
+            total: Some(self.total),
+            unit: "steps".into(),
+            message,
+            facts,
+        });
     }
 
     fn in_words(&self, step: &StepRecord) -> String {

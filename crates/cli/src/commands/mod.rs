@@ -3,7 +3,6 @@
 pub mod avatar;
 pub mod check;
 pub mod convert;
-pub mod demo;
 pub mod device;
 pub mod eval;
 pub mod figure;

@@ -23,7 +23,7 @@ mod run;
 mod usage;
 
 use srflow::{
-    face, machine, made, methods, networks, opening, posed_head, rendering, scoring, video,
+    face, machine, methods, networks, opening, posed_head, rendering, scoring, video,
 };
 
 use std::ffi::OsString;
@@ -67,14 +67,14 @@ pub(crate) struct Context {
 
 #[derive(Subcommand)]
 enum Command {
-    Demo(commands::demo::Demo),
+    Demo(srflow::demo::DemoJob),
     Render(srflow::render::RenderJob),
     Shapes(srflow::shapes::ShapesJob),
     Pack(srflow::pack::PackJob),
     Avatar(commands::avatar::Avatar),
     Flow(srflow::flow::FlowJob),
-    Train(commands::train::Train),
-    Ablation(commands::ablation::Ablation),
+    Train(srflow::train::TrainJob),
+    Ablation(srflow::ablation::AblationJob),
     Eval(srflow::eval::EvalJob),
     Figure(srflow::figure::FigureJob),
     Mer(commands::mer::Mer),
@@ -117,14 +117,14 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         }
     });
     let result: anyhow::Result<()> = match cli.command {
-        Command::Demo(args) => commands::demo::run(args, &context),
+        Command::Demo(args) => run::run(&args, &context),
         Command::Render(args) => run::run(&args, &context),
         Command::Shapes(args) => run::run(&args, &context),
         Command::Pack(args) => run::run(&args, &context),
         Command::Avatar(args) => commands::avatar::run(args, &context),
         Command::Flow(args) => run::run(&args, &context),
-        Command::Train(args) => commands::train::run(args, &context),
-        Command::Ablation(args) => commands::ablation::run(args, &context),
+        Command::Train(args) => ranks::train(&args, &context),
+        Command::Ablation(args) => run::run(&args, &context),
         Command::Eval(args) => run::run(&args, &context),
         Command::Figure(args) => run::run(&args, &context),
         Command::Mer(args) => commands::mer::run(args, &context),

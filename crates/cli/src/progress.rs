@@ -16,13 +16,15 @@ const LOGGED_APART: Duration = Duration::from_secs(60);
 
 /// Lines about work whose bar nobody sees, since standard error is no terminal: for the logs of job engines.
 pub struct Lines {
+    began: Instant,
     /// When the last one was printed, or the work began.
     printed: Mutex<Instant>,
 }
 
 impl Lines {
     pub fn new() -> Self {
-        Self { printed: Mutex::new(Instant::now()) }
+        let began = Instant::now();
+        Self { began, printed: Mutex::new(began) }
     }
 
     /// Prints how many of its `units` the bar counts, and its message, if the last line is old enough. May be called from any thread.
@@ -35,6 +37,22 @@ impl Lines {
         *printed = Instant::now();
         drop(printed);
         note!("{}", line(bar.position(), bar.length(), units, &bar.message(), bar.eta()));
+    }
+
+    /// Prints the step that a training is at, and the bar's message, if it is the first or the last step or the last line is old
+    /// enough.
+    pub fn of_training(&self, bar: &ProgressBar, units: &str) {
+        let Ok(mut printed) = self.printed.try_lock() else { return };
+        let (step, steps) = (bar.position(), bar.length().unwrap_or_default());
+        let due = *printed == self.began || printed.elapsed() >= LINES_APART || step == steps;
+        if !due || !bar.is_hidden() {
+            return;
+        }
+        *printed = Instant::now();
+        drop(printed);
+        let unit = units.strip_suffix('s').unwrap_or(units);
+        let minutes = bar.eta().as_secs_f64() / 60.0;
+        note!("{unit} {step}/{steps}: {}, {minutes:.0} min left", bar.message());
     }
 }
 
@@ -102,11 +120,6 @@ impl TrainingProgress {
                 words(rate)
             ));
         }
-    }
-
-    /// Counts a step of which there is nothing to say.
-    pub fn skip(&self, step: u64) {
-        self.bar.set_position(step);
     }
 
     /// What is done besides steps, on the bar.

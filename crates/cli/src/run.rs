@@ -21,17 +21,29 @@ pub fn run<J: Job>(job: &J, context: &Context) -> anyhow::Result<()> {
 /// As [`run`]; returns the report.
 pub fn reported<J: Job>(job: &J, context: &Context) -> anyhow::Result<J::Report> {
     let report = watched(job)?;
-    if context.json {
-        print_json(&report)?;
-    } else if is_coloured() {
-        print_text(&format!("{report:#}"))?;
-    } else {
-        print_text(&report.to_string())?;
+    print(&report, context)?;
+    match job.when_stopped() {
+        // The report says how to continue.
+        WhenStopped::Saved if report.stopped() => exit_stopped()?,
+        _ => exit_if_stopped(report.stopped())?,
     }
-    exit_if_stopped(report.stopped())?;
     match report.failure() {
         Some(failure) => Err(anyhow::Error::msg(failure)),
         None => Ok(report),
+    }
+}
+
+/// Prints the report as JSON or as text.
+///
+/// # Errors
+/// When standard output cannot be written to.
+pub fn print(report: &impl Report, context: &Context) -> anyhow::Result<()> {
+    if context.json {
+        print_json(report)
+    } else if is_coloured() {
+        print_text(&format!("{report:#}"))
+    } else {
+        print_text(&report.to_string())
     }
 }
 
@@ -49,15 +61,20 @@ pub fn exit_if_stopped(stopped: bool) -> anyhow::Result<()> {
 
 /// Runs `job` with a progress bar on standard error; lines where it is no terminal.
 pub fn watched<J: Job>(job: &J) -> Result<J::Report, Error> {
-    let continuable = match job.when_stopped() {
+    watching(job.when_stopped(), |watch| job.run(watch))
+}
+
+/// What `work` returns, which is watched as a job is.
+pub fn watching<T>(when_stopped: WhenStopped, work: impl FnOnce(&Watch) -> T) -> T {
+    let continuable = match when_stopped {
         WhenStopped::Lost => None,
         WhenStopped::UnitsKept => Some(Continuable::dropping(|| BARS.left())),
         WhenStopped::Saved => Some(Continuable::saved()),
     };
-    let report = job.run(&WATCH);
+    let result = work(&WATCH);
     drop(continuable);
     BARS.finish();
-    report
+    result
 }
 
 /// Draws the progress of the one job that a process runs, and stops it on a signal.
@@ -83,7 +100,9 @@ struct Stage {
 impl Bars {
     fn show(&self, progress: &Progress) {
         let mut stage = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if stage.as_ref().is_none_or(|stage| stage.unit != progress.unit) {
+        let event = progress.facts.get("event");
+        let is_event = |name: &str| event.is_some_and(|event| event == name);
+        if is_event("started") || stage.as_ref().is_none_or(|stage| stage.unit != progress.unit) {
             if let Some(last) = stage.take() {
                 last.bar.finish_and_clear();
             }
@@ -96,7 +115,11 @@ impl Bars {
         }
         bar.set_position(progress.done);
         bar.set_message(progress.message.clone());
-        lines.now_and_then(bar, unit);
+        match event {
+            Some(_) if is_event("step") => lines.of_training(bar, unit),
+            Some(_) => {}
+            None => lines.now_and_then(bar, unit),
+        }
     }
 
     fn suspend(&self, print: impl FnOnce()) {

@@ -20,10 +20,12 @@
 //! the rasterizer ([`splat`]), classical methods ([`classical`]) and networks ([`nets`]).
 #![cfg_attr(not(feature = "clap"), allow(dead_code, reason = "parsers of arguments"))]
 
+pub mod ablation;
 pub mod avatar;
 pub mod convert;
 pub mod device;
 pub mod check;
+pub mod demo;
 #[doc(hidden)]
 pub mod error;
 pub mod eval;
@@ -31,6 +33,8 @@ pub mod eval;
 pub mod face;
 pub mod flow;
 pub mod figure;
+#[doc(hidden)]
+pub mod head_page;
 mod job;
 #[doc(hidden)]
 pub mod job_engine;
@@ -63,6 +67,7 @@ pub mod scoring;
 pub mod settings;
 pub mod shapes;
 mod table;
+pub mod train;
 #[doc(hidden)]
 pub mod video;
 mod watch;

@@ -4,7 +4,8 @@ use serde_json::{Map, Value};
 
 use crate::settings::from_json;
 use crate::{
-    Error, Job, Watch, avatar, check, convert, device, eval, figure, flow, mer, merge, metrics, models, pack, render, shapes,
+    Error, Job, Watch, ablation, avatar, check, convert, demo, device, eval, figure, flow, mer, merge, metrics, models, pack, render,
+    shapes, train,
 };
 
 /// A job that is known by its name.
@@ -39,6 +40,7 @@ macro_rules! jobs {
 }
 
 jobs![
+    demo::DemoJob,
     render::RenderJob,
     shapes::ShapesJob,
     flow::FlowJob,
@@ -50,6 +52,8 @@ jobs![
     device::DevicesJob,
     device::TimeNetworkJob,
     device::TimeRasterizerJob,
+    train::TrainJob,
+    ablation::AblationJob,
     merge::MergeJob,
     pack::PackJob,
     check::CheckJob,

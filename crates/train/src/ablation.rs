@@ -18,7 +18,8 @@ use srflow_read::flow::FlowDataset;
 use crate::checkpoint::Checkpoints;
 use crate::config::{Config, Source};
 use crate::loss::{MaskReading, REGULARIZERS, Regularizer};
-use crate::run::{Event, RunMode, TrainError, train};
+use crate::ranks::Alone;
+use crate::run::{Event, RunMode, TrainError, Training};
 use crate::training_set::OpenMade;
 use crate::validation::score_weights;
 
@@ -170,7 +171,7 @@ pub enum AblationError {
     #[error("{run}: {error}")]
     Run { run: String, error: Box<TrainError> },
     #[error(
-        "{}: this folder contains a run with other settings; choose another --out, or delete the folder", .run.display()
+        "{}: this folder contains a run with other settings; choose another `out`, or delete the folder", .run.display()
     )]
     OtherSettings { run: PathBuf },
     #[error("{}: {reason}; delete the file to score the run again", .path.display())]
@@ -180,9 +181,18 @@ pub enum AblationError {
 /// Name of the file with the scores of a finished run.
 const RESULT: &str = "test.json";
 
+/// The result of [`ablate`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ablated {
+    /// The scores of each finished run.
+    pub cells: Vec<Cell>,
+    /// Whether it was stopped before the last run.
+    pub stopped: bool,
+}
+
 /// Trains every row with every seed, each in a subfolder of `out`, and scores its last weights on each of `tests`. Finished runs are
 /// not repeated, and are only scored again on other datasets. A row that is not trained needs `network.weights` in the
-/// configuration.
+/// configuration. When `stop` asks it to, it stops after a step, with a checkpoint; the same call continues.
 ///
 /// # Errors
 /// Stops at the first run that fails; finished runs are kept.
@@ -192,10 +202,14 @@ pub fn ablate(
     open_made: &OpenMade,
     devices: &[Device],
     out: &Path,
+    stop: &dyn Fn() -> bool,
     on_event: &mut dyn FnMut(AblationEvent<'_>),
-) -> Result<Vec<Cell>, AblationError> {
+) -> Result<Ablated, AblationError> {
     let mut cells = Vec::new();
     for (variant, seed) in settings.runs() {
+        if stop() {
+            return Ok(Ablated { cells, stopped: true });
+        }
         let run = out.join(format!("{}-seed-{seed}", variant.name));
         let config = settings.config(&variant, seed);
         let failed =
@@ -231,10 +245,15 @@ pub fn ablate(
             Some(cell) => cell.steps,
             None => {
                 let mode = if begun { RunMode::Resume } else { RunMode::New };
-                let outcome = train(&config, open_made, devices, &run, mode, &mut |event| {
-                    on_event(AblationEvent::Training(event));
-                });
-                outcome.map_err(failed)?.progress.step
+                let training =
+                    Training { config: &config, open_made, devices, run: &run, mode, communicator: &Alone };
+                let outcome = training
+                    .until(&|_| stop(), &mut |event| on_event(AblationEvent::Training(event)))
+                    .map_err(failed)?;
+                if outcome.stopped {
+                    return Ok(Ablated { cells, stopped: true });
+                }
+                outcome.progress.step
             }
         };
         cells.push(match before.filter(|cell| cell.is_of(tests)) {
@@ -247,7 +266,7 @@ pub fn ablate(
             }
         });
     }
-    Ok(cells)
+    Ok(Ablated { cells, stopped: false })
 }
 
 impl Cell {

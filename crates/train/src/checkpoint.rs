@@ -98,7 +98,7 @@ pub enum CheckpointError {
     #[error("{}: {reason}; delete this checkpoint's folder to continue from the one before", .path.display())]
     Broken { path: PathBuf, reason: String },
     #[error(
-        "{}: found no checkpoint to continue from; start the run without --resume", .folder.display()
+        "{}: found no checkpoint to continue from; start the run without `resume`", .folder.display()
     )]
     None { folder: PathBuf },
 }

@@ -48,7 +48,7 @@ pub enum TrainError {
     #[error(transparent)]
     File(#[from] FileError),
     #[error(
-        "{0}: this folder already contains a run of {steps} steps; continue it with --resume {0}, or choose another --out",
+        "{0}: this folder already contains a run of {steps} steps; continue it with `resume` {0}, or choose another `out`",
         .folder.display()
     )]
     AnotherRun {
@@ -74,7 +74,7 @@ pub enum TrainError {
     #[error("a thread that reads training pairs panicked; see its message above")]
     Worker,
     #[error(
-        "training.batch is {batch}, for {ranks} ranks: each takes at least one sample of a batch; raise --batch, or start fewer"
+        "training.batch is {batch}, for {ranks} ranks: each takes at least one sample of a batch; raise `batch`, or start fewer"
     )]
     TooManyRanks { batch: usize, ranks: usize },
     #[error("rank {rank} of {ranks}, counted from 0: {error}")]

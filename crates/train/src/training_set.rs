@@ -22,7 +22,7 @@ use crate::made::Made;
 #[derive(Debug, thiserror::Error)]
 pub enum DataError {
     #[error(
-        "data.train is empty: choose a dataset to train on, e.g. --data srflow:DIR, or --data folder:DIR for a plain folder \
+        "data.train is empty: choose a dataset to train on, e.g. `data` srflow:DIR, or `data` folder:DIR for a plain folder \
          of pairs"
     )]
     NoData,
@@ -38,7 +38,7 @@ pub enum DataError {
     )]
     NoClip { dataset: String, dir: PathBuf, frames: usize },
     #[error(
-        "{pair}: its frames are {}x{}, less than half the crop of {crop} (WIDTHxHEIGHT); set data.crop (--crop) to at most \
+        "{pair}: its frames are {}x{}, less than half the crop of {crop} (WIDTHxHEIGHT); set data.crop (`crop`) to at most \
          the size of the frames",
         .frame.0, .frame.1
     )]

@@ -11,15 +11,16 @@ use srflow_files::{FileKind, FlowFormat, parse_error_in_words, read_flow, read_t
 use srflow_read::flow::{DatasetSpec, Entry, FlowDataset, Split, flow_files};
 use srflow_render::generate::MotionSource;
 use srflow_splat::{SplatFormat, Up, read_gaussians};
-use srflow_view::{Answer, Pack, Page, Server, ViewedFlow, ViewedMotion, ViewedPair};
+use srflow_view::{Answer, Pack, Page, Server, ViewedFlow, ViewedPair};
 
 use crate::methods::{self, Method, MethodParameters, MethodSpec, Source};
 use crate::opening::open_dataset;
 use crate::output::{ensure_extension, ensure_free, print_json};
-use crate::posed_head::{FRAMES_PER_SECOND, MovingHead};
+use crate::posed_head::MovingHead;
 use crate::progress::bar;
 use crate::scoring::folder_name;
 use crate::{Context, in_words};
+use srflow::head_page::head_pack;
 use srflow::wrong_settings;
 
 /// Show Gaussians, an avatar, a dataset or flow in a browser
@@ -147,7 +148,7 @@ fn open(args: &View) -> anyhow::Result<Opened> {
         Thing::Head(source) => {
             let head = MovingHead::open(&source, args.motion.as_ref(), args.seed)?;
             let title = source.to_string();
-            let main = avatar_pack(&head, &title)?;
+            let main = head_pack(&head, &title)?;
             Opened::Whole { title, main }
         }
         Thing::Dataset(spec) => {
@@ -176,21 +177,6 @@ fn open(args: &View) -> anyhow::Result<Opened> {
         wrong_settings!("--method is for datasets: its flow is shown beside theirs");
     }
     Ok(opened)
-}
-
-fn avatar_pack(head: &MovingHead, title: &str) -> anyhow::Result<Pack> {
-    let motion = ViewedMotion { poses: head.poses(), frames_per_second: FRAMES_PER_SECOND };
-    Ok(srflow_view::avatar(title, &head.avatar, &motion)?)
-}
-
-/// The page of a head.
-///
-/// # Errors
-/// When it has no Gaussians.
-pub fn avatar_page(head: &MovingHead, title: &str) -> anyhow::Result<Page> {
-    let mut page = Page::new(title);
-    page.embed("main", &avatar_pack(head, title)?);
-    Ok(page)
 }
 
 /// What a word of the command line names.

@@ -107,6 +107,8 @@ impl FromStr for Source {
     }
 }
 
+srflow_core::serialize_as_text!(Source);
+
 /// Serde through `Display` and `FromStr`.
 pub(super) mod by_text {
     use std::fmt::Display;

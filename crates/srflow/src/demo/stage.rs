@@ -1,9 +1,11 @@
-//! The stages of the demo: announced while they run, and timed for the report.
+//! The stages of the demo: reported while they run, and timed for the report.
 
-use std::io::IsTerminal;
 use std::time::Instant;
 
 use serde::Serialize;
+
+use crate::Watch;
+use crate::watch::Count;
 
 /// A finished stage.
 #[derive(Debug, Clone, Serialize)]
@@ -14,37 +16,39 @@ pub struct StageTime {
     pub seconds: f64,
 }
 
-/// The finished stages.
-#[derive(Debug)]
-pub struct Stages {
-    /// Total number of stages, for `2/5`.
-    count: usize,
-    /// In the order they ran.
+/// The stages.
+pub struct Stages<'a> {
+    count: Count<'a>,
+    /// The finished ones, in the order they ran.
     pub done: Vec<StageTime>,
 }
 
-impl Stages {
+impl<'a> Stages<'a> {
     /// `count` stages, none of them finished.
-    pub fn of(count: usize) -> Self {
-        Self { count, done: Vec::new() }
+    pub fn of(count: u64, watch: &'a Watch) -> Self {
+        Self { count: watch.count("stages", count), done: Vec::new() }
     }
 
-    /// Runs one stage, and announces it on standard error if that is a terminal.
+    /// Runs one stage.
     ///
     /// # Errors
     /// Those of `work`.
     pub fn run<T>(&mut self, name: &str, work: impl FnOnce() -> anyhow::Result<T>) -> anyhow::Result<T> {
-        if std::io::stderr().is_terminal() {
-            note!("{}/{}  {name}", self.done.len() + 1, self.count);
-        }
+        self.count.message(name);
         let start = Instant::now();
         let result = work()?;
         self.done.push(StageTime { name: name.to_owned(), seconds: start.elapsed().as_secs_f64() });
+        self.count.set(self.done.len() as u64);
         Ok(result)
     }
 
-    /// Seconds of all stages together.
+    /// Seconds of all finished stages together.
     pub fn seconds(&self) -> f64 {
-        self.done.iter().map(|stage| stage.seconds).sum()
+        seconds(&self.done)
     }
+}
+
+/// Seconds of these stages together.
+pub fn seconds(stages: &[StageTime]) -> f64 {
+    stages.iter().map(|stage| stage.seconds).sum()
 }

@@ -1,9 +1,8 @@
-//! Renders the demo's two datasets as `srflow render` does: stills of three heads at full size, and a smaller one with
-//! more frames.
+//! The demo's two datasets: stills of three heads at full size, and a smaller one with more frames.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use rayon::prelude::*;
 use srflow_avatar::{Avatars, HeadSource};
 use srflow_core::{FlowField, Image, Size, flow_colors};
@@ -15,6 +14,7 @@ use srflow_read::flow::{DatasetSpec, Entry, FlowDataset, Sample, Split};
 use srflow_read::manifest::Manifest;
 use srflow_render::generate::{self, Background, Report, Settings};
 
+use crate::Watch;
 use crate::rendering::RenderingArgs;
 
 /// Background of every head: a warm grey that suits light and dark pages.
@@ -59,10 +59,10 @@ pub struct Rendered {
 }
 
 impl Plan {
-    /// Renders the dataset, or the missing part of it, with a bar on standard error if that is a terminal.
+    /// Renders the dataset, or the missing part of it.
     ///
     /// # Errors
-    /// Those of [`generate::generate_with`] and of opening the result.
+    /// Those of [`generate::generate_with`] and of opening the result; or when it was stopped.
     pub fn render(
         self,
         out: &Path,
@@ -70,6 +70,7 @@ impl Plan {
         avatars: &Avatars,
         seed: u64,
         force: bool,
+        watch: &Watch,
     ) -> anyhow::Result<Rendered> {
         let settings = Settings {
             head: head.clone(),
@@ -83,10 +84,12 @@ impl Plan {
         };
         let dir = out.join(self.folder);
         let rendering = RenderingArgs { force, ..RenderingArgs::default() };
-        let made = rendering.make(&dir, "pairs", &crate::run::WATCH, |request| {
-            generate::generate_with(&settings, request, avatars)
-        })?;
+        let made = rendering
+            .make(&dir, "pairs", watch, |request| generate::generate_with(&settings, request, avatars))?;
         let report = made.report;
+        if report.run.stopped {
+            bail!("{}: stopped on request; running the demo again renders what is missing", dir.display());
+        }
         let spec = DatasetSpec { kind: "srflow".to_owned(), dir: dir.clone() };
         Ok(Rendered { dir, report, dataset: FlowDataset::open(&spec, Some(Split::All))? })
     }

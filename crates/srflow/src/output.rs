@@ -41,13 +41,6 @@ pub fn ensure_extension(file: &Path, extension: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Writes tables as text, with `{:#}` in colours.
-pub(crate) fn write_tables(f: &mut fmt::Formatter, tables: &[Table]) -> fmt::Result {
-    let style = if f.alternate() { TextStyle::Ansi } else { TextStyle::Plain };
-    let text = joined(tables, |table| table.text(style));
-    writeln!(f, "{}", text.trim_end())
-}
-
 /// Tables as one LaTeX file.
 pub fn latex(tables: &[Table]) -> String {
     latex_file(tables.iter().map(|table| (table.title.clone(), table.latex())))

@@ -10,7 +10,7 @@ use serde::Serialize;
 use srflow_core::{is_unprintable, printable};
 use srflow_eval::{Table, TextStyle, joined};
 
-pub use srflow::output::{ensure_extension, ensure_folder, ensure_free, latex};
+pub use srflow::output::{ensure_extension, ensure_folder, ensure_free};
 
 /// Whether standard output shows colours: it is a terminal and `NO_COLOR` is unset (<https://no-color.org>).
 pub fn is_coloured() -> bool {

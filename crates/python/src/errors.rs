@@ -18,6 +18,16 @@ pub fn exception(error: impl Into<anyhow::Error>) -> PyErr {
     }
 }
 
+/// The error, with a wrong setting as a keyword.
+pub fn in_python(error: srflow::Error) -> PyErr {
+    match error.setting() {
+        Some(setting) => {
+            PyValueError::new_err(format!("{}={}: expected {}", setting.name(), setting.found, setting.expected))
+        }
+        None => exception(error),
+    }
+}
+
 fn kind(cause: &(dyn Error + 'static)) -> Option<io::ErrorKind> {
     let dataset = matches!(cause.downcast_ref(), Some(DatasetError::NotThere { .. }));
     let weights = matches!(cause.downcast_ref(), Some(PublishedError::Unknown { .. }));

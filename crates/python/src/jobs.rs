@@ -6,10 +6,10 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::{Map, Value};
-use srflow::{Entry, Error, Watch};
+use srflow::{Entry, Watch};
 
 use crate::compute::{Reporter, compute_reporting};
-use crate::errors::exception;
+use crate::errors::in_python;
 
 /// Runs the job of this name with these settings; see `srflow/jobs.py`. Returns the report and its text.
 #[pyfunction]
@@ -49,18 +49,8 @@ pub fn run_job<'py>(
     Ok((to_python(py, &done.report)?, done.text))
 }
 
-/// The error, with a wrong setting as a keyword.
-fn in_python(error: Error) -> PyErr {
-    match error.setting() {
-        Some(setting) => {
-            PyValueError::new_err(format!("{}={}: expected {}", setting.name(), setting.found, setting.expected))
-        }
-        None => exception(error),
-    }
-}
-
 /// Refuses what cannot be called before the work: it would end it at its first report.
-fn check_callback(callback: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+pub fn check_callback(callback: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
     match callback {
         Some(callback) if !callback.is_callable() => {
             let found = callback.get_type().name()?;

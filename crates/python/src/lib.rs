@@ -13,7 +13,6 @@ mod gaussians;
 mod jobs;
 mod mer;
 mod methods;
-mod options;
 mod rasterize;
 
 use std::ffi::OsString;

@@ -7,12 +7,15 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use srflow_core::{EstimateError, FlowEstimate, FlowEstimator, Image};
+use srflow::flow::MethodSpec;
+use srflow::settings::from_json;
+use srflow::Watch;
 use srflow_nets::Architecture;
 
 use crate::arrays;
 use crate::compute::{compute, new_threads, wait_for};
-use crate::errors::exception;
-use crate::options::options;
+use crate::errors::{exception, in_python};
+use crate::jobs::from_python;
 
 type Estimator = Arc<dyn FlowEstimator>;
 
@@ -22,9 +25,15 @@ pub fn load(
     method: Option<String>,
     given: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Estimator> {
-    let options = options(given)?;
-    let found = compute(py, move || srflow::estimator_of(method.as_deref(), options))?;
-    Ok(found.map_err(exception)?.into())
+    let parameters = given.map(from_python).transpose()?.unwrap_or_default();
+    let found = compute(py, move || {
+        let method = match method {
+            Some(method) => method.parse().map_err(srflow::Error::wrong_settings)?,
+            None => MethodSpec::default(),
+        };
+        srflow::flow::estimator(&method, &from_json(&parameters)?, &Watch::SILENT)
+    })?;
+    Ok(found.map_err(in_python)?.into())
 }
 
 fn estimate<'py>(

@@ -9,7 +9,7 @@
 >>> frame["image"], frame["flow"]  # a picture, and its exact flow
 """
 
-from . import mer
+from . import jobs, mer
 
 from ._srflow import (
     Avatar,
@@ -28,11 +28,12 @@ from ._srflow import (
     rasterize,
     rasterize_backward,
     read_flow,
-    render,
-    train,
     warp,
     write_flow,
 )
+from ._report import Report
+from .jobs import render, train
+
 
 __all__ = [
     "Avatar",
@@ -41,11 +42,13 @@ __all__ = [
     "FaceFinder",
     "Gaussians",
     "Network",
+    "Report",
     "Sequence",
     "consistency",
     "crop_face",
     "flow",
     "flow_to_rgb",
+    "jobs",
     "mer",
     "metrics",
     "rasterize",

@@ -31,6 +31,11 @@ macro_rules! wrong_settings {
 pub use wrong_settings;
 
 impl Error {
+    /// Settings that are wrong, in words.
+    pub fn wrong_settings(words: String) -> Self {
+        Self(WrongSettings(words).into())
+    }
+
     pub fn kind(&self) -> ErrorKind {
         if is_wrong_settings(&self.0) { ErrorKind::Setting } else { ErrorKind::Failed }
     }

@@ -7,7 +7,8 @@ use std::str::FromStr;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A setting that is out of range. Front ends say how it is given: `--noise` on a command line, `noise=` in Python.
+/// A setting that is out of range. Front ends say how it is given: `--noise` on a command line, `noise=` in
+/// Python.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{field} {found}: expected {expected}")]
 pub struct SettingError {
@@ -44,7 +45,8 @@ macro_rules! serialize_as_text {
     };
 }
 
-/// Deserializes text, or a number as it is written, by `FromStr`; for [`serialize_as_text!`](crate::serialize_as_text).
+/// Deserializes text, or a number as it is written, by `FromStr`; for
+/// [`serialize_as_text!`](crate::serialize_as_text).
 #[doc(hidden)]
 pub fn parse_setting<'de, T: FromStr<Err: fmt::Display>, D: Deserializer<'de>>(
     deserializer: D,

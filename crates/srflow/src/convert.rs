@@ -16,13 +16,15 @@ use crate::{Job, Report, Watch};
 
 /// Convert a flow or 3D Gaussians between file formats, or draw a flow in colours
 ///
-/// Flow: the input format is detected from the first bytes, the output format from the extension: .flo, .png (KITTI's 16-bit
-/// PNG), .png128, .pfm, .flo5, .npy, .npz or .npz16. All values and unknown pixels are kept; .png rounds to steps of 1/64
-/// pixel, .png128 of 1/128, .npz16 of 1/256 (more where flow is longer than 128 pixels).
+/// Flow: the input format is detected from the first bytes, the output format from the extension: .flo, .png
+/// (KITTI's 16-bit PNG), .png128, .pfm, .flo5, .npy, .npz or .npz16. All values and unknown pixels are kept;
+/// .png rounds to steps of 1/64 pixel, .png128 of 1/128, .npz16 of 1/256 (more where flow is longer than 128
+/// pixels).
 ///
-/// 3D Gaussians: both formats from the extension: .ply, .splat, .spz or .glb. What is upright in IN is upright in OUT: between formats
-/// with another direction of up they are turned by 180 degrees about the x axis. docs/rasterize.md lists what each format keeps.
-/// `srflow avatar export` writes the Gaussians of a head.
+/// 3D Gaussians: both formats from the extension: .ply, .splat, .spz or .glb. What is upright in IN is
+/// upright in OUT: between formats with another direction of up they are turned by 180 degrees about the x
+/// axis. docs/rasterize.md lists what each format keeps. `srflow avatar export` writes the Gaussians of a
+/// head.
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "Examples:
   srflow convert flow.flo5 flow.flo
@@ -44,8 +46,8 @@ pub struct ConvertJob {
     #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = positive)]
     #[serde(default)]
     pub max: Option<f32>,
-    /// Direction that is up in a .ply of Gaussians, which does not say so: y, as for heads of srflow, or -y, as for most scenes that
-    /// were reconstructed from photographs
+    /// Direction that is up in a .ply of Gaussians, which does not say so: y, as for heads of srflow, or -y,
+    /// as for most scenes that were reconstructed from photographs
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true, default_value_t)]
     #[serde(default)]
     pub ply_up: Up,

@@ -26,7 +26,8 @@ pub struct DevicesJob {}
 
 /// Time a network on two frames of the built-in head
 ///
-/// Times include the transfer of frames and flow. Without weights the parameters are those that come with srflow, or random.
+/// Times include the transfer of frames and flow. Without weights the parameters are those that come with
+/// srflow, or random.
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct TimeNetworkJob {
     /// Name of the network; `srflow models` lists them
@@ -234,8 +235,7 @@ impl Job for TimeNetworkJob {
             None
         };
         let there = estimator(on_cpu.on(&device), device).with_precision(precision);
-        let (times, flow) =
-            self.timing.time(&timed, watch, || Ok(there.estimate(&first.image, &second)?))?;
+        let (times, flow) = self.timing.time(&timed, watch, || Ok(there.estimate(&first.image, &second)?))?;
         Ok(NetworkTimes {
             against_cpu: expected.map(|expected| Difference::new(&flow, &expected)),
             iterations,
@@ -402,7 +402,8 @@ impl Pair {
             (low, high) = (low.min(vertex), high.max(vertex));
         }
         let center = (0.5 * (low + high)).as_dvec3();
-        // The head fills as much of a frame of any size as of one at 2200x3208 with a focal length of 7600 pixels.
+        // The head fills as much of a frame of any size as of one at 2200x3208 with a focal length of 7600
+        // pixels.
         let focal_length = 7600.0 * (width as f64 / 2200.0).min(height as f64 / 3208.0);
         let camera = Camera {
             width,

@@ -16,8 +16,8 @@
 //! [`Watch`] follows a job and can stop it; running a stopped job again continues. With the feature `clap` the same structs are the
 //! options of the command `srflow`.
 //!
-//! For work in memory, the building blocks of the jobs are re-exported: fields and images ([`core`]), their files ([`files`]),
-//! the rasterizer ([`splat`]), classical methods ([`classical`]) and networks ([`nets`]).
+//! For work in memory, [`flow::estimator`] opens a method with its settings, and the building blocks of the jobs are
+//! re-exported: fields and images ([`core`]), their files ([`files`]), the rasterizer ([`splat`]), classical methods ([`classical`]) and networks ([`nets`]).
 #![cfg_attr(not(feature = "clap"), allow(dead_code, reason = "parsers of arguments"))]
 
 pub mod ablation;

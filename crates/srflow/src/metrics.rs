@@ -15,12 +15,12 @@ use crate::{Job, Report, Watch};
 
 /// Score one flow against the ground truth, or evaluate the paper's regularizers on it
 ///
-/// Prints the end-point error (EPE) and related scores over the pixels with ground truth, as ptlflow defines them: px1, px3
-/// and px5 are fractions under 1, 3 and 5 pixels, F1-ALL is the percentage of outliers (over 3 pixels and 5 %), WAUC runs
-/// from 0 to 100.
+/// Prints the end-point error (EPE) and related scores over the pixels with ground truth, as ptlflow defines
+/// them: px1, px3 and px5 are fractions under 1, 3 and 5 pixels, F1-ALL is the percentage of outliers (over 3
+/// pixels and 5 %), WAUC runs from 0 to 100.
 ///
-/// --regularizers prints the values of TVR, FDR, MIGAR and IGVAR for this flow with the paper's weights, and how MIGAR and
-/// IGVAR weight the pixels; it needs no ground truth (docs/losses.md).
+/// --regularizers prints the values of TVR, FDR, MIGAR and IGVAR for this flow with the paper's weights, and
+/// how MIGAR and IGVAR weight the pixels; it needs no ground truth (docs/explanation/losses.md).
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "Examples:
   srflow metrics estimated.flo truth.png --mask head.png --json
@@ -116,8 +116,7 @@ impl MetricsJob {
         let config = LossConfig { image_max, m_total, ..LossConfig::default() };
         config.check().context("`image_max`")?;
         let frame = read_image(image_file)?;
-        let files =
-            || format!("regularizers of {} over {}", self.prediction.display(), image_file.display());
+        let files = || format!("regularizers of {} over {}", self.prediction.display(), image_file.display());
         regularizers_of_flow(&config, prediction, &frame, mask).with_context(files)
     }
 }

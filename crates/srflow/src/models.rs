@@ -20,14 +20,15 @@ use crate::{Job, Report, Watch};
 
 /// List the networks
 ///
-/// Lists every network with its parameters, the multiple that frames are padded to, the iterations, the licence of the authors'
-/// code, and the published weights.
+/// Lists every network with its parameters, the multiple that frames are padded to, the iterations, the
+/// licence of the authors' code, and the published weights.
 #[derive(Args, Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ModelsJob {}
 
 /// Inspect a file of weights
 ///
-/// Prints the kind of file and the network that its parameters fit, or the nearest network and what is missing.
+/// Prints the kind of file and the network that its parameters fit, or the nearest network and what is
+/// missing.
 #[derive(Args, Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[command(after_help = "Example:
   srflow models inspect skflow-things.ckpt")]
@@ -39,22 +40,23 @@ pub struct InspectJob {
 
 /// Export weights for PyTorch or as safetensors, or a network as ONNX
 ///
-/// A .ckpt, .pt or .pth file is a Lightning checkpoint that torch.load reads, even with weights_only=True, and that ptlflow
-/// loads into the network of the same name: get_model("raft", ckpt_path="raft.ckpt"). The parameters have the names of the
-/// reference implementations.
+/// A .ckpt, .pt or .pth file is a Lightning checkpoint that torch.load reads, even with weights_only=True,
+/// and that ptlflow loads into the network of the same name: get_model("raft", ckpt_path="raft.ckpt"). The
+/// parameters have the names of the reference implementations.
 ///
-/// A .onnx file holds a whole network with its weights, for onnxruntime and other programs: srflow, raft, raft-small or skflow. Its
-/// inputs are `frame1` and `frame2`, f32 [1, 3, height, width], RGB in 0..255; its output is `flow`, f32 [1, 2, height, width], in
-/// pixels, to the right and down. It takes frames of any size, or with --size of one, and pads and crops itself. srflow also takes
-/// `start`, a flow to start from, and gives `uncertainty`: docs/networks.md.
+/// A .onnx file holds a whole network with its weights, for onnxruntime and other programs: srflow, raft,
+/// raft-small or skflow. Its inputs are `frame1` and `frame2`, f32 [1, 3, height, width], RGB in 0..255; its
+/// output is `flow`, f32 [1, 2, height, width], in pixels, to the right and down. It takes frames of any
+/// size, or with --size of one, and pads and crops itself. srflow also takes `start`, a flow to start from,
+/// and gives `uncertainty`: docs/reference/networks.md.
 #[derive(Args, Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[command(after_help = "Examples:
   srflow models export runs/first/best.safetensors -o raft.ckpt
   srflow models export raft-things -o raft.onnx --iters 12
   srflow models export srflow -o srflow.onnx --size 640x480")]
 pub struct ExportJob {
-    /// Weights of one of the networks: a file, the name of published weights, such as skflow-things, or the name of a network
-    /// whose weights come with srflow
+    /// Weights of one of the networks: a file, the name of published weights, such as skflow-things, or the
+    /// name of a network whose weights come with srflow
     #[arg(value_name = "FILE|NAME")]
     pub weights: String,
     /// File to write: .ckpt, .pt or .pth (PyTorch), .safetensors, or .onnx
@@ -64,7 +66,8 @@ pub struct ExportJob {
     #[arg(long)]
     #[serde(default)]
     pub half: bool,
-    /// Refinement iterations, each of which is in the file; for .onnx [default: the network's own, see `srflow models`]
+    /// Refinement iterations, each of which is in the file; for .onnx [default: the network's own, see
+    /// `srflow models`]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MOST_ITERATIONS))]
     #[serde(default)]
     pub iters: Option<u16>,
@@ -213,7 +216,8 @@ impl fmt::Display for Networks {
             "name", "licence"
         )?;
         for network in networks {
-            let ListedNetwork { name, parameters, padding, iterations, licence, weights, included, .. } = network;
+            let ListedNetwork { name, parameters, padding, iterations, licence, weights, included, .. } =
+                network;
             let included = included.then_some("included").into_iter();
             let weights: Vec<&str> =
                 included.chain(weights.iter().map(|weights| weights.name.as_str())).collect();
@@ -236,8 +240,8 @@ impl fmt::Display for Networks {
                 writeln!(f, "  {:<width$}  {name}={default}  {description}: {allowed}", network.name)?;
             }
         }
-        let folder = weights_folder()
-            .map_or("(none: set SRFLOW_CACHE)".into(), |folder| folder.display().to_string());
+        let folder =
+            weights_folder().map_or("(none: set SRFLOW_CACHE)".into(), |folder| folder.display().to_string());
         writeln!(f, "\nPublished weights are ptlflow's; --json lists their URLs. They are cached in {folder}")
     }
 }
@@ -425,7 +429,8 @@ impl Job for ExportJob {
             }
             FileKind::Onnx => {
                 let own = architecture.facts().iterations.default;
-                let iterations = NonZeroUsize::new(iters.map_or(own, usize::from)).unwrap_or(NonZeroUsize::MIN);
+                let iterations =
+                    NonZeroUsize::new(iters.map_or(own, usize::from)).unwrap_or(NonZeroUsize::MIN);
                 match save_network_onnx(&network, OnnxOptions { iterations, size: *size }, out) {
                     Err(error @ (OnnxError::NotExported { .. } | OnnxError::TooLarge { .. })) => {
                         wrong_settings!("{}: {error}", out.display())

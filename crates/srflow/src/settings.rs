@@ -6,11 +6,12 @@ use serde_json::{Map, Value};
 
 use crate::Error;
 
-/// A job, or settings such as [`MethodParameters`](crate::flow::MethodParameters), from their fields as JSON. Fields that are not
-/// given have their defaults.
+/// A job, or settings such as [`MethodParameters`](crate::flow::MethodParameters), from their fields as JSON.
+/// Fields that are not given have their defaults.
 ///
 /// # Errors
-/// [`ErrorKind::Setting`](crate::ErrorKind::Setting), with the name of a field that is unknown, missing or wrong.
+/// [`ErrorKind::Setting`](crate::ErrorKind::Setting), with the name of a field that is unknown, missing or
+/// wrong.
 pub fn from_json<T: Serialize + DeserializeOwned>(given: &Map<String, Value>) -> Result<T, Error> {
     let settings: T = match read(given) {
         Ok(settings) => settings,

@@ -35,12 +35,12 @@ use crate::{Error, Job, Report, Watch, WhenStopped};
 
 pub use crate::methods::{Method, MethodParameters, MethodSpec};
 
-/// A method that estimates flow in memory, with the weights that its parameters name. Published weights are downloaded if they
-/// are not cached, which `watch` follows.
+/// A method that estimates flow in memory, with the weights that its parameters name. Published weights are
+/// downloaded if they are not cached, which `watch` follows.
 ///
 /// # Errors
-/// [`ErrorKind::Setting`](crate::ErrorKind::Setting) when a parameter is out of range or does not apply to the method; otherwise
-/// when weights cannot be loaded.
+/// [`ErrorKind::Setting`](crate::ErrorKind::Setting) when a parameter is out of range or does not apply to
+/// the method; otherwise when weights cannot be loaded.
 pub fn estimator(
     method: &MethodSpec,
     parameters: &MethodParameters,
@@ -93,7 +93,8 @@ pub struct FlowJob {
     #[arg(long, value_name = "OUT", help = ExtraOutput::Occlusion.help())]
     #[serde(default)]
     pub occlusion: Option<PathBuf>,
-    /// Length in pixels of the flow with full colour, and the uncertainty with the brightest [default: the largest of each pair]
+    /// Length in pixels of the flow with full colour, and the uncertainty with the brightest [default: the
+    /// largest of each pair]
     #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = positive)]
     #[serde(default)]
     pub viz_max: Option<f32>,
@@ -113,7 +114,8 @@ pub struct FlowJob {
     #[arg(long)]
     #[serde(default)]
     pub force: bool,
-    /// With --face, --face-box or --landmarks: also write the cropped frames, which the flow belongs to, as PNG files
+    /// With --face, --face-box or --landmarks: also write the cropped frames, which the flow belongs to, as
+    /// PNG files
     #[arg(long, value_name = "DIR")]
     #[serde(default)]
     pub save_crops: Option<PathBuf>,
@@ -500,8 +502,8 @@ fn cropped(frame: Frame, crop: &FrameCrop, folder: Option<&Path>) -> anyhow::Res
     Ok(Frame { image, ..frame })
 }
 
-/// Batches of frames that wait to be estimated, and of flows that wait to be written: a frame takes about as long to decode as its flow to
-/// encode, and both less than the estimation.
+/// Batches of frames that wait to be estimated, and of flows that wait to be written: a frame takes about as
+/// long to decode as its flow to encode, and both less than the estimation.
 const AHEAD: usize = 1;
 
 /// From frames to files.
@@ -530,8 +532,8 @@ struct Pair {
 }
 
 impl Work<'_> {
-    /// Estimates the pairs of a sequence, except the first `resumed`, `batch` at a time; or one pair, starting from an initial flow. Frames
-    /// are decoded and flows encoded at the same time.
+    /// Estimates the pairs of a sequence, except the first `resumed`, `batch` at a time; or one pair,
+    /// starting from an initial flow. Frames are decoded and flows encoded at the same time.
     fn run(
         &self,
         resumed: u64,
@@ -563,7 +565,8 @@ impl Work<'_> {
         Ok(reports)
     }
 
-    /// The frames, except the first `skip`, in batches: the first has one frame more, as it takes two for a pair.
+    /// The frames, except the first `skip`, in batches: the first has one frame more, as it takes two for a
+    /// pair.
     fn read(&self, skip: u64, crop: &FrameCrop, give: &mut dyn FnMut(anyhow::Result<Vec<Frame>>) -> bool) {
         let batch = self.job.parameters.network.batch;
         let (mut frames, mut wanted, mut more) = (Vec::new(), batch + 1, true);

@@ -62,10 +62,8 @@ impl Outputs {
     /// When `out` or `viz` does not fit the frames.
     pub fn plan(job: &FlowJob, source: &Source) -> anyhow::Result<Self> {
         let two_files = matches!(source, Source::Files(files) if files.len() == 2 && job.frames.len() == 2);
-        let is_file = two_files
-            && !job.out.is_dir()
-            && job.out.extension().is_some()
-            && !ends_with_separator(&job.out);
+        let is_file =
+            two_files && !job.out.is_dir() && job.out.extension().is_some() && !ends_with_separator(&job.out);
         let (flows, viz) = if is_file { Self::file(job)? } else { Self::folder(job, source)? };
         let mut extra = Vec::new();
         for kind in ExtraOutput::ALL {
@@ -188,12 +186,13 @@ impl Outputs {
         }
     }
 
-    /// Creates the folders, and returns how many pairs an interrupted run of the same identity has finished: none if they go into
-    /// one file, or if each flow depends on the previous ones (`one_by_one`). A run into a folder keeps its identity there
-    /// until [`finish`](Self::finish).
+    /// Creates the folders, and returns how many pairs an interrupted run of the same identity has finished:
+    /// none if they go into one file, or if each flow depends on the previous ones (`one_by_one`). A run into
+    /// a folder keeps its identity there until [`finish`](Self::finish).
     ///
     /// # Errors
-    /// When a folder cannot be created; without such a run, when a file of a pair exists and `force` is not set.
+    /// When a folder cannot be created; without such a run, when a file of a pair exists and `force` is not
+    /// set.
     pub fn claim(&mut self, identity: &str, source: &Source, one_by_one: bool) -> anyhow::Result<u64> {
         let Some(note) = self.note() else {
             self.prepare(&source.stems())?;

@@ -234,8 +234,7 @@ impl Job for TimeNetworkJob {
             None
         };
         let there = estimator(on_cpu.on(&device), device).with_precision(precision);
-        let (times, flow) =
-            self.timing.time(&timed, watch, || Ok(there.estimate(&first.image, &second)?))?;
+        let (times, flow) = self.timing.time(&timed, watch, || Ok(there.estimate(&first.image, &second)?))?;
         Ok(NetworkTimes {
             against_cpu: expected.map(|expected| Difference::new(&flow, &expected)),
             iterations,

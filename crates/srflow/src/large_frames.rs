@@ -106,7 +106,8 @@ impl LargeFrames {
     /// # Errors
     /// Names the first that is out of range.
     pub fn check(&self) -> Result<(), SettingError> {
-        let wrong = |field, found, expected: &str| SettingError { field, found, expected: expected.to_owned() };
+        let wrong =
+            |field, found, expected: &str| SettingError { field, found, expected: expected.to_owned() };
         if !OVERLAPS.contains(&self.tile_overlap) {
             return Err(wrong("tile_overlap", self.tile_overlap.to_string(), OVERLAP));
         }

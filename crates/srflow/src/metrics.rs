@@ -116,8 +116,7 @@ impl MetricsJob {
         let config = LossConfig { image_max, m_total, ..LossConfig::default() };
         config.check().context("`image_max`")?;
         let frame = read_image(image_file)?;
-        let files =
-            || format!("regularizers of {} over {}", self.prediction.display(), image_file.display());
+        let files = || format!("regularizers of {} over {}", self.prediction.display(), image_file.display());
         regularizers_of_flow(&config, prediction, &frame, mask).with_context(files)
     }
 }

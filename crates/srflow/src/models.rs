@@ -213,7 +213,8 @@ impl fmt::Display for Networks {
             "name", "licence"
         )?;
         for network in networks {
-            let ListedNetwork { name, parameters, padding, iterations, licence, weights, included, .. } = network;
+            let ListedNetwork { name, parameters, padding, iterations, licence, weights, included, .. } =
+                network;
             let included = included.then_some("included").into_iter();
             let weights: Vec<&str> =
                 included.chain(weights.iter().map(|weights| weights.name.as_str())).collect();
@@ -236,8 +237,8 @@ impl fmt::Display for Networks {
                 writeln!(f, "  {:<width$}  {name}={default}  {description}: {allowed}", network.name)?;
             }
         }
-        let folder = weights_folder()
-            .map_or("(none: set SRFLOW_CACHE)".into(), |folder| folder.display().to_string());
+        let folder =
+            weights_folder().map_or("(none: set SRFLOW_CACHE)".into(), |folder| folder.display().to_string());
         writeln!(f, "\nPublished weights are ptlflow's; --json lists their URLs. They are cached in {folder}")
     }
 }
@@ -425,7 +426,8 @@ impl Job for ExportJob {
             }
             FileKind::Onnx => {
                 let own = architecture.facts().iterations.default;
-                let iterations = NonZeroUsize::new(iters.map_or(own, usize::from)).unwrap_or(NonZeroUsize::MIN);
+                let iterations =
+                    NonZeroUsize::new(iters.map_or(own, usize::from)).unwrap_or(NonZeroUsize::MIN);
                 match save_network_onnx(&network, OnnxOptions { iterations, size: *size }, out) {
                     Err(error @ (OnnxError::NotExported { .. } | OnnxError::TooLarge { .. })) => {
                         wrong_settings!("{}: {error}", out.display())

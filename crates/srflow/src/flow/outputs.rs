@@ -62,10 +62,8 @@ impl Outputs {
     /// When `out` or `viz` does not fit the frames.
     pub fn plan(job: &FlowJob, source: &Source) -> anyhow::Result<Self> {
         let two_files = matches!(source, Source::Files(files) if files.len() == 2 && job.frames.len() == 2);
-        let is_file = two_files
-            && !job.out.is_dir()
-            && job.out.extension().is_some()
-            && !ends_with_separator(&job.out);
+        let is_file =
+            two_files && !job.out.is_dir() && job.out.extension().is_some() && !ends_with_separator(&job.out);
         let (flows, viz) = if is_file { Self::file(job)? } else { Self::folder(job, source)? };
         let mut extra = Vec::new();
         for kind in ExtraOutput::ALL {

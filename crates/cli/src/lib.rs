@@ -23,7 +23,7 @@ mod run;
 mod usage;
 
 use srflow::{
-    face, machine, methods, networks, opening, posed_head, rendering, scoring, video,
+    face, machine, methods, networks, posed_head, rendering, scoring, video,
 };
 
 use std::ffi::OsString;
@@ -83,7 +83,7 @@ enum Command {
     Rasterize(commands::rasterize::Rasterize),
     Models(commands::models::Models),
     Device(commands::device::DeviceArgs),
-    View(commands::view::View),
+    View(srflow::view::ViewJob),
     Check(srflow::check::CheckJob),
     Merge(srflow::merge::MergeJob),
 }
@@ -133,7 +133,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Rasterize(args) => commands::rasterize::run(args, &context),
         Command::Models(args) => commands::models::run(args, &context),
         Command::Device(args) => commands::device::run(args, &context),
-        Command::View(args) => commands::view::run(args, &context),
+        Command::View(args) => run::reported(&args, &context).and_then(|viewed| Ok(viewed.serve()?)),
         Command::Check(args) => run::run(&args, &context),
         Command::Merge(args) => run::run(&args, &context),
     };
@@ -178,8 +178,6 @@ fn fail(error: &anyhow::Error, context: &Context) -> u8 {
     }
     if usage::is_wrong_usage(error) { WRONG_USAGE } else { FAILED }
 }
-
-pub(crate) use srflow::error::in_words;
 
 fn is_closed_pipe(error: &anyhow::Error) -> bool {
     // Not the whole chain: a pipe that a file's error tells of is not standard output.

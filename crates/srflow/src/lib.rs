@@ -22,17 +22,17 @@
 
 pub mod ablation;
 pub mod avatar;
-pub mod convert;
-pub mod device;
 pub mod check;
+pub mod convert;
 pub mod demo;
+pub mod device;
 #[doc(hidden)]
 pub mod error;
 pub mod eval;
 #[doc(hidden)]
 pub mod face;
-pub mod flow;
 pub mod figure;
+pub mod flow;
 #[doc(hidden)]
 pub mod head_page;
 mod job;
@@ -70,6 +70,7 @@ mod table;
 pub mod train;
 #[doc(hidden)]
 pub mod video;
+pub mod view;
 mod watch;
 
 pub use error::{Error, ErrorKind};

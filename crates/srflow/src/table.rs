@@ -5,7 +5,7 @@ use serde_json::{Map, Value};
 use crate::settings::from_json;
 use crate::{
     Error, Job, Watch, ablation, avatar, check, convert, demo, device, eval, figure, flow, mer, merge,
-    metrics, models, pack, render, shapes, train,
+    metrics, models, pack, render, shapes, train, view,
 };
 
 /// A job that is known by its name.
@@ -59,6 +59,7 @@ jobs![
     check::CheckJob,
     eval::EvalJob,
     figure::FigureJob,
+    view::ViewJob,
     avatar::capture::CaptureJob,
     mer::data::DataJob,
     mer::synth::SynthJob,

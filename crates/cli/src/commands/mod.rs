@@ -5,4 +5,3 @@ pub mod device;
 pub mod mer;
 pub mod models;
 pub mod rasterize;
-pub mod view;

@@ -300,7 +300,7 @@ impl EvalJob {
     /// The command that is recorded: the one that was given, or these settings.
     fn command(&self) -> String {
         match self.command.as_str() {
-            "" => format!("eval {}", serde_json::json!(self)),
+            "" => format!("eval {}", serde_json::to_string(self).unwrap_or_default()),
             given => given.to_owned(),
         }
     }

@@ -113,7 +113,8 @@ mod tests {
         let mut identities = vec![plain[0].clone()];
         for iterations in ["12", "auto", "auto:0.02"] {
             specs_of_auto[0].iterations = Some(iterations.parse().unwrap());
-            let record = records(&specs_of_auto, &MethodParameters::default(), &Watch::SILENT).unwrap().remove(0);
+            let record =
+                records(&specs_of_auto, &MethodParameters::default(), &Watch::SILENT).unwrap().remove(0);
             assert_eq!(record.still_px.is_some(), iterations.starts_with("auto"));
             assert!(!identities.contains(&record.identity()), "{iterations}");
             identities.push(record.identity());

@@ -1,8 +1,10 @@
-use std::io::{self, Write as _};
+//! Pages for a browser, in one file or served.
+
+use std::fmt;
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail, ensure};
-use clap::Args;
 use serde::{Deserialize, Serialize};
 use srflow_avatar::HeadSource;
 use srflow_core::{FlowField, Mask, score};
@@ -13,22 +15,22 @@ use srflow_render::generate::MotionSource;
 use srflow_splat::{SplatFormat, Up, read_gaussians};
 use srflow_view::{Answer, Pack, Page, Server, ViewedFlow, ViewedPair};
 
+use crate::clap::Args;
+use crate::error::{in_words, wrong_settings};
+use crate::head_page::head_pack;
 use crate::methods::{self, Method, MethodParameters, MethodSpec, Source};
 use crate::opening::open_dataset;
-use crate::output::{ensure_extension, ensure_free, print_json};
+use crate::output::{ensure_extension, ensure_free};
 use crate::posed_head::MovingHead;
-use crate::progress::bar;
 use crate::scoring::folder_name;
-use crate::{Context, in_words};
-use srflow::head_page::head_pack;
-use srflow::wrong_settings;
+use crate::{Error, Job, Report, Watch};
 
 /// Show Gaussians, an avatar, a dataset or flow in a browser
 ///
 /// Writes one HTML page that needs no network: a file of Gaussians from all sides; an avatar with its motion, sliders for its action
 /// units, gaze and head, and the true flow of both; the pairs of a dataset with flow, masks, depth and the flow of methods beside the
 /// truth, with the values under the pointer.
-#[derive(Args)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "\
 THING is one of
   a file of Gaussians      scene.ply, .splat, .spz or .glb
@@ -42,68 +44,140 @@ Examples:
   srflow view runs/avatar -o avatar.html
   srflow view srflow:small --split test --method srflow tvl1 -o pairs.html
   srflow view srflow:large --serve")]
-pub struct View {
+pub struct ViewJob {
     /// What to show
     #[arg(value_name = "THING")]
-    thing: String,
+    pub thing: String,
     /// The page to write [default: the name of the thing with .html, in this folder]
     #[arg(short, long, value_name = "HTML")]
-    output: Option<PathBuf>,
-    /// Serve the page on this machine instead of writing it, and load pairs when they are looked at; on any free port unless
-    /// given one
+    #[serde(default)]
+    pub output: Option<PathBuf>,
+    /// Serve the page on this machine instead of writing it, and load pairs on demand; on this port, or any free one if none or
+    /// 0 is given
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", conflicts_with = "output")]
-    serve: Option<u16>,
+    #[serde(default)]
+    pub serve: Option<u16>,
     /// Split of a dataset: train, val, test or all [default: the one that results are usually reported on]
     #[arg(long)]
-    split: Option<Split>,
+    #[serde(default)]
+    pub split: Option<Split>,
     /// Show N pairs, spread evenly over the dataset [default: all if served, else as many as make 48 MB, at most 24]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    limit: Option<u32>,
+    #[arg(long, value_name = "N")]
+    #[serde(default)]
+    pub limit: Option<NonZeroU32>,
     /// Motion of a head: `own`, `curves`, or a file, as for `srflow rasterize` [default: own if it has one, else curves]
     #[arg(long, value_name = "MOTION")]
-    motion: Option<MotionSource>,
+    #[serde(default)]
+    pub motion: Option<MotionSource>,
     /// Seed of the person and of the random motion, for heads that are made from one
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    seed: u64,
+    #[arg(long, value_name = "N", default_value_t = one())]
+    #[serde(default = "one")]
+    pub seed: u64,
     /// Overwrite the page
     #[arg(long)]
-    force: bool,
+    #[serde(default)]
+    pub force: bool,
     #[arg(long, value_name = "METHOD", num_args = 1.., value_delimiter = ',', value_parser = methods::scored_method, help = Method::help_of_several("Methods whose flow is shown beside a dataset's"))]
-    method: Vec<MethodSpec>,
+    #[serde(default, deserialize_with = "methods::scored_methods")]
+    pub method: Vec<MethodSpec>,
     #[command(flatten)]
-    parameters: MethodParameters,
+    #[serde(flatten)]
+    pub parameters: MethodParameters,
 }
 
-/// Bytes of the pairs in a page for which nothing else was asked, and their most.
+fn one() -> u64 {
+    1
+}
+
+/// Size of the pairs in a page where `limit` is not given, and their largest number.
 const USUAL_BYTES: usize = 48 << 20;
 const USUAL_PAIRS: usize = 24;
 
-/// What `--json` prints.
-#[derive(Serialize)]
-struct Written<'a> {
-    page: &'a Path,
-    bytes: usize,
-}
+impl Job for ViewJob {
+    const NAME: &'static str = "view";
 
-/// What `--json` prints with `--serve`.
-#[derive(Serialize)]
-struct Served<'a> {
-    url: &'a str,
-}
+    type Report = Viewed;
 
-pub fn run(args: View, context: &Context) -> anyhow::Result<()> {
-    let output = match (&args.output, args.serve) {
-        (Some(output), _) => output.clone(),
-        (None, _) => usual_name(&args.thing),
-    };
-    if args.serve.is_none() {
-        ensure_extension(&output, "html")?;
-        ensure_free([&output], args.force)?;
+    fn work(&self, watch: &Watch) -> anyhow::Result<Viewed> {
+        let output = self.output.clone().unwrap_or_else(|| usual_name(&self.thing));
+        match self.serve {
+            Some(_) if self.output.is_some() => wrong_settings!("`output` cannot be used with `serve`"),
+            Some(_) => {}
+            None => {
+                ensure_extension(&output, "html")?;
+                ensure_free([&output], self.force)?;
+            }
+        }
+        let view = self.open(watch)?;
+        let limit = self.limit.map(|limit| limit.get() as usize);
+        match self.serve {
+            Some(port) => {
+                let server = Server::new(port)?;
+                Ok(Viewed::Served(Served { url: server.url(), server, view, limit }))
+            }
+            None => {
+                let html = view.page(limit, watch)?.html();
+                write_file(&output, html.as_bytes())?;
+                Ok(Viewed::Written(Written { page: output, bytes: html.len() }))
+            }
+        }
     }
-    let view = open(&args)?;
-    match args.serve {
-        Some(port) => serve(&view, &args, port, context),
-        None => write(&view, &output, &args, context),
+}
+
+/// What [`ViewJob`] has made.
+#[derive(Serialize)]
+#[serde(untagged)]
+pub enum Viewed {
+    /// A page in a file.
+    Written(Written),
+    /// A page that [`Viewed::serve`] serves.
+    Served(Served),
+}
+
+/// A page in a file.
+#[derive(Debug, Clone, Serialize)]
+pub struct Written {
+    pub page: PathBuf,
+    pub bytes: usize,
+}
+
+/// A page whose server listens; it answers while [`Viewed::serve`] runs.
+#[derive(Serialize)]
+pub struct Served {
+    pub url: String,
+    #[serde(skip)]
+    server: Server,
+    #[serde(skip)]
+    view: Opened,
+    #[serde(skip)]
+    limit: Option<usize>,
+}
+
+impl Report for Viewed {}
+
+impl fmt::Display for Viewed {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Written(Written { page, bytes }) => {
+                writeln!(f, "{} ({:.1} MB): open it in a browser", page.display(), *bytes as f64 / 1e6)
+            }
+            Self::Served(Served { url, .. }) => writeln!(f, "{url}: open it in a browser; Ctrl-C ends"),
+        }
+    }
+}
+
+impl Viewed {
+    /// Serves the page for as long as the program runs; returns at once if the page is in a file.
+    ///
+    /// # Errors
+    /// When no more requests can be received.
+    pub fn serve(&self) -> Result<(), Error> {
+        match self {
+            Self::Written(_) => Ok(()),
+            Self::Served(Served { server, view, limit, .. }) => {
+                Ok(server.run(|name| view.answer(name, *limit)).map_err(anyhow::Error::from)?)
+            }
+        }
     }
 }
 
@@ -136,50 +210,51 @@ enum PairKind {
     Flows(Vec<PathBuf>),
 }
 
-fn open(args: &View) -> anyhow::Result<Opened> {
-    let opened = match Thing::find(&args.thing)? {
-        Thing::Splats(file) => {
-            let title = name_of(&file);
-            let up = SplatFormat::of(&file).and_then(|format| format.up).unwrap_or(Up::PlusY);
-            let main = srflow_view::splats(&title, &read_gaussians(&file)?, up)
-                .with_context(|| file.display().to_string())?;
-            Opened::Whole { title, main }
+impl ViewJob {
+    /// Opens what is to be shown.
+    fn open(&self, watch: &Watch) -> anyhow::Result<Opened> {
+        let opened = match Thing::find(&self.thing)? {
+            Thing::Splats(file) => {
+                let title = name_of(&file);
+                let up = SplatFormat::of(&file).and_then(|format| format.up).unwrap_or(Up::PlusY);
+                let main = srflow_view::splats(&title, &read_gaussians(&file)?, up)
+                    .with_context(|| file.display().to_string())?;
+                Opened::Whole { title, main }
+            }
+            Thing::Head(source) => {
+                let head = MovingHead::open(&source, self.motion.as_ref(), self.seed)?;
+                let title = source.to_string();
+                let main = head_pack(&head, &title)?;
+                Opened::Whole { title, main }
+            }
+            Thing::Dataset(spec) => {
+                let dataset = open_dataset(&spec, self.split, watch)?;
+                let limit = self.limit.map(|limit| limit.get() as usize);
+                let methods = match self.method.is_empty() {
+                    true => Vec::new(),
+                    false => methods::sources(&self.method, &self.parameters, &dataset, limit, watch)?,
+                };
+                let title = format!("{spec}, {} split", dataset.split());
+                return Ok(Opened::Pairs(Pairs { title, kind: PairKind::Dataset(dataset, methods) }));
+            }
+            Thing::Flows(files) => {
+                Opened::Pairs(Pairs { title: self.thing.clone(), kind: PairKind::Flows(files) })
+            }
+            Thing::Results { dataset, split, limit, methods } => {
+                let dataset = open_dataset(&dataset, Some(split), watch)?;
+                let methods = methods::sources(&methods, &self.parameters, &dataset, limit, watch)?;
+                let title = format!("{}, {} split", self.thing, dataset.split());
+                Opened::Pairs(Pairs { title, kind: PairKind::Dataset(dataset, methods) })
+            }
+        };
+        if !self.method.is_empty() {
+            wrong_settings!("`method` is for datasets: its flow is shown beside theirs");
         }
-        Thing::Head(source) => {
-            let head = MovingHead::open(&source, args.motion.as_ref(), args.seed)?;
-            let title = source.to_string();
-            let main = head_pack(&head, &title)?;
-            Opened::Whole { title, main }
-        }
-        Thing::Dataset(spec) => {
-            let dataset = open_dataset(&spec, args.split, &crate::run::WATCH)?;
-            let limit = args.limit.map(|limit| limit as usize);
-            let methods = match args.method.is_empty() {
-                true => Vec::new(),
-                false => {
-                    methods::sources(&args.method, &args.parameters, &dataset, limit, &crate::run::WATCH)?
-                }
-            };
-            let title = format!("{spec}, {} split", dataset.split());
-            return Ok(Opened::Pairs(Pairs { title, kind: PairKind::Dataset(dataset, methods) }));
-        }
-        Thing::Flows(files) => {
-            Opened::Pairs(Pairs { title: args.thing.clone(), kind: PairKind::Flows(files) })
-        }
-        Thing::Results { dataset, split, limit, methods } => {
-            let dataset = open_dataset(&dataset, Some(split), &crate::run::WATCH)?;
-            let methods = methods::sources(&methods, &args.parameters, &dataset, limit, &crate::run::WATCH)?;
-            let title = format!("{}, {} split", args.thing, dataset.split());
-            Opened::Pairs(Pairs { title, kind: PairKind::Dataset(dataset, methods) })
-        }
-    };
-    if !args.method.is_empty() {
-        wrong_settings!("--method is for datasets: its flow is shown beside theirs");
+        Ok(opened)
     }
-    Ok(opened)
 }
 
-/// What a word of the command line names.
+/// What the text of `thing` names.
 enum Thing {
     Splats(PathBuf),
     Head(HeadSource),
@@ -215,8 +290,7 @@ impl Thing {
     fn in_folder(dir: &Path) -> anyhow::Result<Self> {
         let has = |name: &str| dir.join(name).is_file();
         let spec = |kind: &str| DatasetSpec { kind: kind.to_owned(), dir: dir.to_owned() };
-        // A training keeps scores.json beside the avatar of each iteration.
-        if has("point_cloud.ply") || dir.join("point_cloud").is_dir() {
+        if has("point_cloud.ply") {
             let text = format!("avatar:{}", dir.display());
             return Ok(Self::Head(text.parse().map_err(anyhow::Error::msg)?));
         }
@@ -362,66 +436,54 @@ fn pair_pack(dataset: &FlowDataset, entry: &Entry, methods: &[Source]) -> anyhow
     Ok(pair.pack()?)
 }
 
-fn write(view: &Opened, output: &Path, args: &View, context: &Context) -> anyhow::Result<()> {
-    let page = match view {
-        Opened::Whole { title, main } => {
-            let mut page = Page::new(title);
-            page.embed("main", main);
-            page
+impl Opened {
+    /// The page with everything in it; of pairs at most `limit`.
+    fn page(&self, limit: Option<usize>, watch: &Watch) -> anyhow::Result<Page> {
+        match self {
+            Self::Whole { title, main } => {
+                let mut page = Page::new(title);
+                page.embed("main", main);
+                Ok(page)
+            }
+            Self::Pairs(pairs) => pairs_page(pairs, limit, watch),
         }
-        Opened::Pairs(pairs) => pairs_page(pairs, args.limit.map(|limit| limit as usize))?,
-    };
-    let html = page.html();
-    write_file(output, html.as_bytes())?;
-    match context.json {
-        true => print_json(&Written { page: output, bytes: html.len() }),
-        false => say!("{} ({:.1} MB): open it in a browser", output.display(), html.len() as f64 / 1e6),
+    }
+
+    /// What a server sends under this name.
+    fn answer(&self, name: &str, limit: Option<usize>) -> Answer {
+        match (self, name) {
+            (Self::Whole { title, .. } | Self::Pairs(Pairs { title, .. }), "") => {
+                Answer::Page(Page::new(title).html())
+            }
+            (Self::Whole { main, .. }, "main") => Answer::Pack(main.gzipped()),
+            (Self::Pairs(pairs), name) => {
+                let numbers = spread(pairs.len(), limit);
+                match name.parse().ok().and_then(|place: usize| numbers.get(place)) {
+                    Some(&number) => match pairs.pack(number) {
+                        Ok(pack) => Answer::Pack(pack.gzipped()),
+                        Err(error) => Answer::Failed(in_words(&error)),
+                    },
+                    None if name == "main" => Answer::Pack(pairs.main(&numbers).gzipped()),
+                    None => Answer::Failed(format!("there is no pair {name}")),
+                }
+            }
+            _ => Answer::Failed(format!("there is no pack {name}")),
+        }
     }
 }
 
-fn pairs_page(pairs: &Pairs, limit: Option<usize>) -> anyhow::Result<Page> {
+fn pairs_page(pairs: &Pairs, limit: Option<usize>, watch: &Watch) -> anyhow::Result<Page> {
     let first = pairs.pack(0)?;
     let usual = (USUAL_BYTES / first.gzipped().len()).clamp(1, USUAL_PAIRS);
     let numbers = spread(pairs.len(), Some(limit.unwrap_or(usual)));
-    let bar = bar(numbers.len() as u64, "{wide_bar} {pos}/{len} pairs, {eta} left");
+    let packed = watch.count("pairs", numbers.len() as u64);
     let mut page = Page::new(&pairs.title);
     page.embed("main", &pairs.main(&numbers));
     for (place, &number) in numbers.iter().enumerate() {
         page.embed(place.to_string(), &pairs.pack(number)?);
-        bar.inc(1);
+        packed.inc();
     }
-    bar.finish_and_clear();
     Ok(page)
-}
-
-fn serve(view: &Opened, args: &View, port: u16, context: &Context) -> anyhow::Result<()> {
-    let server = Server::new(port)?;
-    let url = server.url();
-    match context.json {
-        true => print_json(&Served { url: &url })?,
-        false => say!("{url}: open it in a browser; Ctrl-C ends")?,
-    }
-    io::stdout().flush()?;
-    let packs = |pack: anyhow::Result<Pack>| match pack {
-        Ok(pack) => Answer::Pack(pack.gzipped()),
-        Err(error) => Answer::Failed(in_words(&error)),
-    };
-    server.run(|name| match (view, name) {
-        (Opened::Whole { title, .. } | Opened::Pairs(Pairs { title, .. }), "") => {
-            Answer::Page(Page::new(title).html())
-        }
-        (Opened::Whole { main, .. }, "main") => Answer::Pack(main.gzipped()),
-        (Opened::Pairs(pairs), name) => {
-            let numbers = spread(pairs.len(), args.limit.map(|limit| limit as usize));
-            match name.parse().ok().and_then(|place: usize| numbers.get(place)) {
-                Some(&number) => packs(pairs.pack(number)),
-                None if name == "main" => Answer::Pack(pairs.main(&numbers).gzipped()),
-                None => Answer::Failed(format!("there is no pair {name}")),
-            }
-        }
-        _ => Answer::Failed(format!("there is no pack {name}")),
-    })?;
-    Ok(())
 }
 
 #[cfg(test)]

@@ -1,3 +1,5 @@
 //! Jobs of avatars.
 
 pub mod capture;
+pub mod mesh;
+pub mod units;

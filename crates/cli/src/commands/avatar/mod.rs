@@ -4,11 +4,9 @@ mod eval;
 mod export;
 mod fit;
 mod import;
-mod mesh;
 mod paths;
 mod scores;
 mod train;
-mod units;
 
 use clap::{Args, Subcommand};
 
@@ -28,9 +26,9 @@ enum AvatarCommand {
     Export(export::Export),
     Fit(fit::Fit),
     Import(import::Import),
-    Mesh(mesh::Mesh),
+    Mesh(srflow::avatar::mesh::MeshJob),
     Train(train::Train),
-    Units(units::Units),
+    Units(srflow::avatar::units::UnitsJob),
 }
 
 pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
@@ -40,8 +38,8 @@ pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
         AvatarCommand::Export(args) => export::run(args, context),
         AvatarCommand::Fit(args) => fit::run(args, context),
         AvatarCommand::Import(args) => import::run(args, context),
-        AvatarCommand::Mesh(args) => mesh::run(args, context),
+        AvatarCommand::Mesh(args) => crate::run::run(&args, context),
         AvatarCommand::Train(args) => train::run(args, context),
-        AvatarCommand::Units(args) => units::run(args, context),
+        AvatarCommand::Units(args) => crate::run::run(&args, context),
     }
 }

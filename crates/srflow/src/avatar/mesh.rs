@@ -78,7 +78,9 @@ impl Job for MeshJob {
         let (shaped, pose) = match (params, action_units) {
             (None, None) => (model.shaped(&[]), HeadPose::default()),
             (None, Some(units)) => (model.shaped(&[]), units.pose(&model)?),
-            (Some(_), Some(_)) => wrong_settings!("`action_units` and `params` both pose the head: give one of them"),
+            (Some(_), Some(_)) => {
+                wrong_settings!("`action_units` and `params` both pose the head: give one of them")
+            }
             (Some(path), None) => {
                 let parameters = HeadParameters::read(path)?;
                 parameters.check(&model).with_context(|| path.display().to_string())?;
@@ -93,11 +95,7 @@ impl Job for MeshJob {
         let mut vertices = Vec::new();
         model.vertices(&shaped, &pose, &mut vertices);
         write_mesh(output, &vertices, &model.triangles, model.texture.as_ref())?;
-        Ok(MeshReport {
-            output: output.clone(),
-            triangles: model.triangles.len(),
-            vertices: vertices.len(),
-        })
+        Ok(MeshReport { output: output.clone(), triangles: model.triangles.len(), vertices: vertices.len() })
     }
 }
 

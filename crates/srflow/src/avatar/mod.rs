@@ -1,5 +1,10 @@
 //! Jobs of avatars.
 
 pub mod capture;
+pub mod fit;
+pub mod import;
 pub mod mesh;
+mod paths;
+#[doc(hidden)]
+pub mod scores;
 pub mod units;

@@ -108,8 +108,7 @@ fn table(UnitsReport { listed, units, .. }: &UnitsReport) -> Table {
             Side::Right => " right",
         };
         let percent = |share: Option<f64>| share.map(|share| 100.0 * share);
-        let values =
-            vec![Some(unit.motion_mm), percent(unit.left_on_skin), percent(unit.left_at_landmarks)];
+        let values = vec![Some(unit.motion_mm), percent(unit.left_on_skin), percent(unit.left_at_landmarks)];
         Row { name: format!("AU {}{side}", unit.number), values, baseline: false }
     };
     let mut rows: Vec<Row> = units.iter().map(row).collect();

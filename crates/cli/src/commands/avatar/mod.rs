@@ -2,10 +2,6 @@
 
 mod eval;
 mod export;
-mod fit;
-mod import;
-mod paths;
-mod scores;
 mod train;
 
 use clap::{Args, Subcommand};
@@ -24,8 +20,8 @@ enum AvatarCommand {
     Capture(srflow::avatar::capture::CaptureJob),
     Eval(eval::Eval),
     Export(export::Export),
-    Fit(fit::Fit),
-    Import(import::Import),
+    Fit(srflow::avatar::fit::FitJob),
+    Import(srflow::avatar::import::ImportJob),
     Mesh(srflow::avatar::mesh::MeshJob),
     Train(train::Train),
     Units(srflow::avatar::units::UnitsJob),
@@ -36,8 +32,8 @@ pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
         AvatarCommand::Capture(args) => crate::run::run(&args, context),
         AvatarCommand::Eval(args) => eval::run(args, context),
         AvatarCommand::Export(args) => export::run(args, context),
-        AvatarCommand::Fit(args) => fit::run(args, context),
-        AvatarCommand::Import(args) => import::run(args, context),
+        AvatarCommand::Fit(args) => crate::run::run(&args, context),
+        AvatarCommand::Import(args) => crate::run::run(&args, context),
         AvatarCommand::Mesh(args) => crate::run::run(&args, context),
         AvatarCommand::Train(args) => train::run(args, context),
         AvatarCommand::Units(args) => crate::run::run(&args, context),

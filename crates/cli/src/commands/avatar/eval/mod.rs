@@ -17,7 +17,7 @@ use srflow_render::capture::TrueCapture;
 use srflow_render::label_error::{FlowPair, LabelError, PartError, TestedAvatar, flow_pairs};
 use srflow_render::mesh_error::{MeshError, mesh_error};
 
-use super::scores::{camera_table, mesh_table, split_table, split_words};
+use srflow::avatar::scores::{camera_table, mesh_table, split_table, split_words};
 use crate::Context;
 use crate::output::{ensure_folder, ensure_free, print_json, print_tables};
 use crate::progress::bar;

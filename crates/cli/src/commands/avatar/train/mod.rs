@@ -16,7 +16,7 @@ use srflow_avatar::train::{
 use srflow_avatar::{HeadModel, HeadSource};
 use srflow_files::{Preset, SettingsError, read_settings, settings_text, with_setting, write_file};
 
-use super::scores::{split_table, split_words};
+use srflow::avatar::scores::{split_table, split_words};
 use crate::interrupt::{self, Continuable};
 use crate::output::{ensure_folder, exit_stopped, print_json, print_tables};
 use crate::progress::TrainingProgress;

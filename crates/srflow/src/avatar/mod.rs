@@ -1,6 +1,7 @@
 //! Jobs of avatars.
 
 pub mod capture;
+pub mod export;
 pub mod fit;
 pub mod import;
 pub mod mesh;

@@ -1,7 +1,6 @@
 //! `srflow avatar`: head models and avatars, one file per subcommand.
 
 mod eval;
-mod export;
 mod train;
 
 use clap::{Args, Subcommand};
@@ -19,7 +18,7 @@ pub struct Avatar {
 enum AvatarCommand {
     Capture(srflow::avatar::capture::CaptureJob),
     Eval(eval::Eval),
-    Export(export::Export),
+    Export(srflow::avatar::export::ExportJob),
     Fit(srflow::avatar::fit::FitJob),
     Import(srflow::avatar::import::ImportJob),
     Mesh(srflow::avatar::mesh::MeshJob),
@@ -31,7 +30,7 @@ pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
     match args.command {
         AvatarCommand::Capture(args) => crate::run::run(&args, context),
         AvatarCommand::Eval(args) => eval::run(args, context),
-        AvatarCommand::Export(args) => export::run(args, context),
+        AvatarCommand::Export(args) => crate::run::run(&args, context),
         AvatarCommand::Fit(args) => crate::run::run(&args, context),
         AvatarCommand::Import(args) => crate::run::run(&args, context),
         AvatarCommand::Mesh(args) => crate::run::run(&args, context),

@@ -30,7 +30,7 @@ impl TwoPoses {
         let (first, next) = match (&self.action_units_next, self.timestep_next) {
             (Some(units), _) => (self.first.pose_or_rest(&head)?, Some(units.pose(model)?)),
             (None, Some(timestep)) => {
-                (self.first.pose(&head)?, Some(head.pose("--timestep-next", timestep)?))
+                (self.first.pose(&head)?, Some(head.pose("timestep_next", timestep)?))
             }
             (None, None) => (self.first.pose(&head)?, None),
         };

@@ -21,6 +21,7 @@
 #![cfg_attr(not(feature = "clap"), allow(dead_code, reason = "parsers of arguments"))]
 
 pub mod ablation;
+mod assignments;
 pub mod avatar;
 pub mod convert;
 pub mod device;

@@ -8,4 +8,5 @@ pub mod mesh;
 mod paths;
 #[doc(hidden)]
 pub mod scores;
+pub mod train;
 pub mod units;

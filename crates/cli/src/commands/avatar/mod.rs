@@ -1,7 +1,6 @@
 //! `srflow avatar`: head models and avatars, one file per subcommand.
 
 mod eval;
-mod train;
 
 use clap::{Args, Subcommand};
 
@@ -22,7 +21,7 @@ enum AvatarCommand {
     Fit(srflow::avatar::fit::FitJob),
     Import(srflow::avatar::import::ImportJob),
     Mesh(srflow::avatar::mesh::MeshJob),
-    Train(train::Train),
+    Train(srflow::avatar::train::TrainJob),
     Units(srflow::avatar::units::UnitsJob),
 }
 
@@ -34,7 +33,7 @@ pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
         AvatarCommand::Fit(args) => crate::run::run(&args, context),
         AvatarCommand::Import(args) => crate::run::run(&args, context),
         AvatarCommand::Mesh(args) => crate::run::run(&args, context),
-        AvatarCommand::Train(args) => train::run(args, context),
+        AvatarCommand::Train(args) => crate::run::run(&args, context),
         AvatarCommand::Units(args) => crate::run::run(&args, context),
     }
 }

@@ -9,7 +9,7 @@ use srflow_eval::report::{
 };
 use srflow_files::settings_text;
 
-use srflow::avatar::scores::{SCORE_DEFINITIONS, camera_table, split_table, split_words};
+use super::super::scores::{SCORE_DEFINITIONS, camera_table, split_table, split_words};
 use crate::machine;
 
 /// Most width of a picture, pixels.

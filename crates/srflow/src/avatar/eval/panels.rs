@@ -13,7 +13,7 @@ use srflow_eval::report::{
 use srflow_files::{FileError, FileProblem, write_image_png};
 use srflow_render::label_error::{FlowComparison, FlowPair};
 
-use srflow::avatar::scores::{SCORE_DEFINITIONS, split_words};
+use super::super::scores::{SCORE_DEFINITIONS, split_words};
 use crate::machine;
 
 /// Most width of a picture on the page, pixels.

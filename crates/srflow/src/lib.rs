@@ -60,6 +60,7 @@ pub mod output;
 pub mod pack;
 #[doc(hidden)]
 pub mod posed_head;
+pub mod rasterize;
 pub mod render;
 #[doc(hidden)]
 pub mod rendering;

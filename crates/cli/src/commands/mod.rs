@@ -4,5 +4,4 @@ pub mod avatar;
 pub mod device;
 pub mod mer;
 pub mod models;
-pub mod rasterize;
 pub mod view;

@@ -14,6 +14,7 @@ use crate::convert::GaussiansWritten;
 use crate::error::wrong_settings;
 use crate::output::ensure_free;
 use crate::posed_head::{HeadArgs, MovingHead};
+use crate::video::default_fps;
 use crate::{Job, Watch};
 
 /// Most timesteps of an animation: viewers hold one texture layer per morph target, of which WebGL 2 promises 256.
@@ -64,11 +65,6 @@ pub struct ExportJob {
     #[arg(long)]
     #[serde(default)]
     pub force: bool,
-}
-
-/// Pictures per second where no rate is given.
-pub(crate) fn default_fps() -> u16 {
-    25
 }
 
 impl Job for ExportJob {

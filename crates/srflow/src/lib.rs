@@ -21,6 +21,7 @@
 #![cfg_attr(not(feature = "clap"), allow(dead_code, reason = "parsers of arguments"))]
 
 pub mod ablation;
+mod assignments;
 pub mod avatar;
 pub mod check;
 pub mod convert;
@@ -59,6 +60,7 @@ pub mod output;
 pub mod pack;
 #[doc(hidden)]
 pub mod posed_head;
+pub mod rasterize;
 pub mod render;
 #[doc(hidden)]
 pub mod rendering;

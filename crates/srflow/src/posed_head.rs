@@ -31,16 +31,16 @@ pub struct HeadArgs {
     /// Motion of the head: `own` (the one that an avatar was trained on), a flame_param.npz or capture of another subject with the
     /// same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves]
     #[arg(long, value_name = "MOTION", requires = "head")]
-    motion: Option<MotionSource>,
+    pub motion: Option<MotionSource>,
     /// Timestep of the motion in this frame, from 0
     #[arg(long, value_name = "N", requires = "head")]
-    timestep: Option<usize>,
+    pub timestep: Option<usize>,
     /// Action units in place of a motion, 0 to 1 each, such as 6=0.5,12_L=1
     #[arg(long, value_name = "UNITS", requires = "head", conflicts_with_all = ["motion", "timestep"])]
-    action_units: Option<ActionUnits>,
+    pub action_units: Option<ActionUnits>,
     /// Seed of the person and of the random motion, for heads that are made from one
     #[arg(long, value_name = "N", requires = "head", default_value_t = Self::default().seed)]
-    seed: u64,
+    pub seed: u64,
 }
 
 impl Default for HeadArgs {
@@ -128,7 +128,7 @@ impl HeadArgs {
     pub fn pose(&self, head: &MovingHead) -> anyhow::Result<HeadPose> {
         match &self.action_units {
             Some(units) => units.pose(head.avatar.model()),
-            None => head.pose("--timestep", self.first_timestep()),
+            None => head.pose("timestep", self.first_timestep()),
         }
     }
 
@@ -177,7 +177,7 @@ impl MovingHead {
         let source = motion.unwrap_or(&default);
         if *source == MotionSource::Mixed {
             wrong_settings!(
-                "--motion mixed: expected own, curves or a file; mixed is a motion of `srflow render`"
+                "`motion` mixed: expected own, curves or a file; mixed is a motion of `srflow render`"
             );
         }
         let recorded = source.poses_of(recorded, &avatar)?;
@@ -196,11 +196,11 @@ impl MovingHead {
         }
     }
 
-    /// The pose at a timestep, which `option` gave.
+    /// The pose at a timestep, which the setting `field` gave.
     ///
     /// # Errors
     /// When the motion has no such timestep.
-    pub fn pose(&self, option: &str, timestep: usize) -> anyhow::Result<HeadPose> {
+    pub fn pose(&self, field: &str, timestep: usize) -> anyhow::Result<HeadPose> {
         let (model, timesteps) = (self.avatar.model(), self.timesteps());
         let recorded = self.recorded.as_ref().map(|recorded| recorded.get(timestep));
         match recorded {
@@ -210,7 +210,7 @@ impl MovingHead {
                 Ok(motion.at(model, timestep).pose)
             }
             _ => wrong_settings!(
-                "{option} {timestep}: the motion has timesteps 0 to {}",
+                "`{field}` {timestep}: the motion has timesteps 0 to {}",
                 timesteps.saturating_sub(1)
             ),
         }

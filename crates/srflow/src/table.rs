@@ -5,7 +5,7 @@ use serde_json::{Map, Value};
 use crate::settings::from_json;
 use crate::{
     Error, Job, Watch, ablation, avatar, check, convert, demo, device, eval, figure, flow, mer, merge,
-    metrics, models, pack, render, shapes, train, view,
+    metrics, models, pack, rasterize, render, shapes, train, view,
 };
 
 /// A job that is known by its name.
@@ -61,6 +61,14 @@ jobs![
     figure::FigureJob,
     view::ViewJob,
     avatar::capture::CaptureJob,
+    avatar::import::ImportJob,
+    avatar::fit::FitJob,
+    avatar::train::TrainJob,
+    avatar::eval::EvalJob,
+    avatar::mesh::MeshJob,
+    avatar::export::ExportJob,
+    avatar::units::UnitsJob,
+    rasterize::RasterizeJob,
     mer::data::DataJob,
     mer::synth::SynthJob,
     mer::apex::ApexJob,

@@ -17,6 +17,11 @@ const EXTENSIONS: [&str; 15] = [
 /// Larger sides are treated as errors.
 const LONGEST_SIDE: usize = 1 << 16;
 
+/// Frames per second of a video or an animation where no rate is given.
+pub(crate) fn default_fps() -> u16 {
+    25
+}
+
 /// Whether the name has the extension of a video file.
 pub fn is_video(path: &Path) -> bool {
     let extension = path.extension().and_then(OsStr::to_str);

@@ -1,6 +1,7 @@
 //! A capture from pictures in folders of any naming, and a file of their cameras.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -57,6 +58,14 @@ impl FromStr for PicturePattern {
         Ok(Self { text: text.to_owned(), parts })
     }
 }
+
+impl fmt::Display for PicturePattern {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+srflow_core::serialize_as_text!(PicturePattern);
 
 impl PicturePattern {
     /// The camera and the timestep of a path, written with slashes; `None` if it does not have this form.

@@ -1,10 +1,10 @@
 //! Training, validation and test pictures, as VHAP divides them (`split_json`).
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use srflow_core::named;
 
 /// What a picture of a capture is for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum CaptureSplit {
     Train,

@@ -1,7 +1,6 @@
-//! One file per command: its arguments, and `run`.
+//! Commands with subcommands: one file each.
 
 pub mod avatar;
 pub mod device;
 pub mod mer;
 pub mod models;
-pub mod rasterize;

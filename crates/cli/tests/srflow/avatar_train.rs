@@ -234,7 +234,8 @@ fn configurations_are_printed_and_their_mistakes_named() {
     refuses(&print(["--set", "density.stop=4"]), 1, &["`stop`", "`until`"]);
     refuses(&print(["--strategy", "random"]), 1, &["`random`", "`absgs`"]);
     refuses(&print(["--iterations", "0"]), 1, &["iterations"]);
-    refuses(&print(["--seed", "x"]), 1, &["seed=x", "a whole number from 0"]);
+    refuses(&print(["--set", "seed=x"]), 1, &["seed=x", "a whole number from 0"]);
+    refuses(&print(["--seed", "x"]), 2, &["--seed"]);
     fs::write(file, "iterations = 5\nitertions = 6\n").unwrap();
     refuses(&print(["--config", file]), 1, &["mine.toml", "line 2", "`itertions`"]);
     refuses(&train(&[]), 2, &["DATA", "--out"]);

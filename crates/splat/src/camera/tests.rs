@@ -80,7 +80,7 @@ fn transforms_of_nerf_take_their_size_from_the_pictures() {
     let frames = json!([{"file_path": "./train/r_0", "rotation": 0.01, "transform_matrix": matrix(4)}]);
     fs::write(&file, json!({"camera_angle_x": 0.8, "frames": frames}).to_string()).unwrap();
     let error = read_cameras(&file, None).unwrap_err().to_string();
-    assert!(error.contains("w and h") && error.contains("--size") && error.contains("r_0"), "{error}");
+    assert!(error.contains("w and h") && error.contains("`size`") && error.contains("r_0"), "{error}");
     let given = read_cameras(&file, Some((640, 480))).unwrap();
     assert_sees(&given[0], "./train/r_0", 380.43176361660267, 210.58124236948836);
     fs::create_dir(folder.path().join("train")).unwrap();

@@ -136,7 +136,7 @@ fn size_of_picture(file: &Path, name: &str) -> Result<(usize, usize), FileProble
     read_image_size(&place).or_else(|_| read_image_size(&with_extension)).map_err(|error| {
         problem(
             "w and h",
-            "the size of the pictures (give --size)",
+            "the size of the pictures (give `size`)",
             format!("none for `{name}`, and {error}"),
         )
     })

@@ -130,7 +130,7 @@ impl Layout {
             return Err(problem(
                 "vertex properties",
                 "Gaussians in the world (each of these is bound to a triangle of a mesh, as in GaussianAvatars: give the \
-                 folder of the avatar as `--head avatar:DIR`)",
+                 folder of the avatar as `head` avatar:DIR)",
                 "`binding_0`",
             ));
         }

@@ -1,3 +1,12 @@
 //! Jobs of avatars.
 
 pub mod capture;
+pub mod eval;
+pub mod export;
+pub mod fit;
+pub mod import;
+pub mod mesh;
+mod paths;
+mod scores;
+pub mod train;
+pub mod units;

@@ -47,10 +47,10 @@ pub enum RunError {
     #[error(transparent)]
     Lock(#[from] LockError),
     /// A new run in the folder of another one.
-    #[error("{0}: this folder already contains a run; continue it with --resume {0}, or choose another --out", .folder.display())]
+    #[error("{0}: this folder already contains a run; continue it with `resume` {0}, or choose another `out`", .folder.display())]
     AnotherRun { folder: PathBuf },
     /// A new run in a folder with other files.
-    #[error("{}: expected a new or empty folder for the run, found {found:?} in it; choose another --out", .folder.display())]
+    #[error("{}: expected a new or empty folder for the run, found {found:?} in it; choose another `out`", .folder.display())]
     Occupied { folder: PathBuf, found: String },
     #[error(
         "the loss was not finite in iteration {iteration}; the training is as far as iteration {checkpoint} in {}. Lower the rates, \

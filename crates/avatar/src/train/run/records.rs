@@ -28,7 +28,7 @@ impl RunRecord {
             if !error.is_not_found() {
                 return error;
             }
-            let expected = "the folder of a run, in which --out has begun a training";
+            let expected = "the folder of a run";
             FileProblem::field("folder", expected, format!("no {RUN_NAME}")).in_file(dir)
         })?;
         serde_json::from_str(&text).map_err(|error| {

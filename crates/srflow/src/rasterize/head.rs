@@ -1,26 +1,29 @@
-//! Arguments for a head avatar in place of a file of Gaussians, in this frame and the next.
+//! Settings of a head avatar instead of a file of Gaussians, in this frame and the next.
 
-use clap::Args;
+use serde::{Deserialize, Serialize};
 use srflow_avatar::{HeadPose, PosedHead};
 use srflow_splat::Gaussians;
 
+use crate::clap::Args;
 use crate::posed_head::{ActionUnits, HeadArgs};
 
 /// A head avatar, and its poses in this frame and the next.
-#[derive(Args)]
+#[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct TwoPoses {
     #[command(flatten)]
-    first: HeadArgs,
+    #[serde(flatten)]
+    pub first: HeadArgs,
     /// Timestep of the motion in the next frame
     #[arg(long, value_name = "N", requires = "head", conflicts_with_all = ["next", "orbit", "path", "action_units"])]
-    timestep_next: Option<usize>,
+    pub timestep_next: Option<usize>,
     /// Action units in the next frame
     #[arg(long, value_name = "UNITS", requires = "head", conflicts_with_all = ["motion", "timestep", "timestep_next", "next", "orbit", "path"])]
-    action_units_next: Option<ActionUnits>,
+    pub action_units_next: Option<ActionUnits>,
 }
 
 impl TwoPoses {
-    /// The Gaussians of this frame and, where it was asked for, of the next; `None` without `--head`.
+    /// The Gaussians of this frame and, where it was asked for, of the next; `None` without a head.
     ///
     /// # Errors
     /// When the head or the motion cannot be read, or has no such timestep or action unit.
@@ -29,9 +32,7 @@ impl TwoPoses {
         let model = head.avatar.model();
         let (first, next) = match (&self.action_units_next, self.timestep_next) {
             (Some(units), _) => (self.first.pose_or_rest(&head)?, Some(units.pose(model)?)),
-            (None, Some(timestep)) => {
-                (self.first.pose(&head)?, Some(head.pose("--timestep-next", timestep)?))
-            }
+            (None, Some(timestep)) => (self.first.pose(&head)?, Some(head.pose("timestep_next", timestep)?)),
             (None, None) => (self.first.pose(&head)?, None),
         };
         let mut buffers = PosedHead::default();

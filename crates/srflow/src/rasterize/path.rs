@@ -7,24 +7,22 @@ use srflow_core::longest_flow;
 use srflow_files::{create_folder, write_flow, write_image_png, write_mask_png};
 use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer};
 
+use crate::Watch;
 use crate::output::ensure_free;
-use crate::progress::bar;
 use crate::video::VideoWriter;
 
-/// What `--json` prints.
-#[derive(Serialize)]
+/// Frames along a path of the camera, in a folder or a video. As text it is empty.
+#[derive(Debug, Clone, Serialize)]
 pub struct RenderedPath {
-    out: PathBuf,
-    frames: usize,
-    width: usize,
-    height: usize,
-    gaussians: usize,
+    pub out: PathBuf,
+    pub frames: usize,
+    pub width: usize,
+    pub height: usize,
+    pub gaussians: usize,
     /// Length of the longest flow to the next frame in pixels; none for a video.
     #[serde(skip_serializing_if = "Option::is_none")]
-    longest_flow: Option<f32>,
+    pub longest_flow: Option<f32>,
 }
-
-const TEMPLATE: &str = "{bar:30} {pos}/{len} frames, {eta} left";
 
 /// The subfolders of a sequence, which `folder:DIR` reads as a dataset.
 const FOLDERS: [&str; 3] = ["frames", "flow", "mask"];
@@ -39,6 +37,7 @@ pub fn write_frames(
     options: &Options,
     out: &Path,
     force: bool,
+    watch: &Watch,
 ) -> anyhow::Result<RenderedPath> {
     let file = |folder: &str, number: usize, extension: &str| {
         out.join(folder).join(format!("{number:06}.{extension}"))
@@ -49,8 +48,8 @@ pub fn write_frames(
     FOLDERS.iter().try_for_each(|folder| create_folder(&out.join(folder)))?;
     let outputs = Outputs { depth_next: false, ..Outputs::ALL };
     let options = Options { outputs, ..*options };
-    let (mut rasterizer, mut frame, bar) =
-        (Rasterizer::new(), Frame::new(), bar(cameras.len() as u64, TEMPLATE));
+    let (mut rasterizer, mut frame) = (Rasterizer::new(), Frame::new());
+    let count = watch.count("frames", cameras.len() as u64);
     let mut longest = 0.0_f32;
     for (number, camera) in (1..).zip(cameras) {
         let next = cameras.get(number).map(|camera| Next { gaussians, camera });
@@ -61,9 +60,8 @@ pub fn write_frames(
             write_flow(&file("flow", number, "flo"), &frame.flow)?;
             longest = longest.max(longest_flow(&frame.flow));
         }
-        bar.inc(1);
+        count.inc();
     }
-    bar.finish_and_clear();
     Ok(RenderedPath { longest_flow: Some(longest), ..rendered(gaussians, cameras, out) })
 }
 
@@ -78,11 +76,12 @@ pub fn write_video(
     out: &Path,
     rate: u16,
     force: bool,
+    watch: &Watch,
 ) -> anyhow::Result<RenderedPath> {
     ensure_free([out], force)?;
     let options = Options { outputs: Outputs::IMAGE, ..*options };
-    let (mut rasterizer, mut frame, bar) =
-        (Rasterizer::new(), Frame::new(), bar(cameras.len() as u64, TEMPLATE));
+    let (mut rasterizer, mut frame) = (Rasterizer::new(), Frame::new());
+    let count = watch.count("frames", cameras.len() as u64);
     let mut video: Option<VideoWriter> = None;
     for camera in cameras {
         rasterizer.render(gaussians, camera, None, &options, &mut frame)?;
@@ -91,10 +90,9 @@ pub fn write_video(
             None => video.insert(VideoWriter::create(out, frame.image.size(), &rate.to_string())?),
         };
         video.write(&frame.image)?;
-        bar.inc(1);
+        count.inc();
     }
     video.map_or(Ok(()), VideoWriter::finish)?;
-    bar.finish_and_clear();
     Ok(rendered(gaussians, cameras, out))
 }
 

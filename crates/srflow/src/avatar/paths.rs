@@ -1,3 +1,5 @@
+//! Paths between folders.
+
 use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Context as _, bail};

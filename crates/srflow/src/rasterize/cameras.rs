@@ -1,44 +1,55 @@
-//! Arguments for cameras.
+//! Settings of cameras.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use clap::Args;
+use serde::{Deserialize, Serialize};
 use srflow_core::{Size, excerpt, excerpts};
 use srflow_splat::{Camera, Gaussians, NamedCamera, Surroundings, Up, read_cameras};
 
-use srflow::wrong_settings;
+use crate::clap::Args;
+use crate::error::wrong_settings;
 
 /// Size of the default camera, in pixels.
 const SIZE: Size = Size { width: 800, height: 800 };
 
 /// The camera of a frame, and that of the next.
-#[derive(Args)]
+#[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct CameraArgs {
     /// Camera of this frame [default: one that sees all Gaussians from +z, where +y is up; those of a .splat file from -z, where -y is
     /// up]
     #[arg(long, value_name = "CAM")]
-    camera: Option<PathBuf>,
+    pub camera: Option<PathBuf>,
     /// Camera of CAM to use: its name (that of its picture, with or without folder and extension), or its number from 0
     #[arg(long, value_name = "NAME|N", requires = "camera")]
-    view: Option<String>,
+    pub view: Option<String>,
     /// Camera of the next frame, of the same image size
     #[arg(long, value_name = "CAM")]
-    camera_next: Option<PathBuf>,
+    pub camera_next: Option<PathBuf>,
     /// Camera to use from --camera-next, or from --camera without --camera-next
     #[arg(long, value_name = "NAME|N")]
-    view_next: Option<String>,
+    pub view_next: Option<String>,
     /// Size of the pictures, in the camera's own proportions; required where CAM has no size
     #[arg(long, value_name = "WIDTHxHEIGHT")]
-    size: Option<Size>,
+    pub size: Option<Size>,
 }
 
-/// A circular path, as in `--orbit`: `360`, `360x120`, `-90x30`.
+/// A circle of the camera, written `360`, `360x120`, `-90x30`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Orbit {
-    degrees: f64,
-    frames: usize,
+    pub degrees: f64,
+    pub frames: usize,
 }
+
+impl fmt::Display for Orbit {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{}x{}", self.degrees, self.frames)
+    }
+}
+
+srflow_core::serialize_as_text!(Orbit);
 
 impl FromStr for Orbit {
     type Err = String;
@@ -68,7 +79,7 @@ impl CameraArgs {
     /// When it cannot be read, or the file holds several and none was selected.
     pub fn first(&self, gaussians: &Gaussians, up: Up) -> anyhow::Result<Camera> {
         match &self.camera {
-            Some(file) => self.chosen(file, self.view.as_deref(), "--view"),
+            Some(file) => self.chosen(file, self.view.as_deref(), "view"),
             None => Ok(self.facing(gaussians, up)),
         }
     }
@@ -80,10 +91,10 @@ impl CameraArgs {
     pub fn next(&self) -> anyhow::Result<Option<Camera>> {
         let view = self.view_next.as_deref();
         match (&self.camera_next, &self.camera) {
-            (Some(file), _) => self.chosen(file, view, "--view-next").map(Some),
-            (None, Some(file)) if view.is_some() => self.chosen(file, view, "--view-next").map(Some),
+            (Some(file), _) => self.chosen(file, view, "view_next").map(Some),
+            (None, Some(file)) if view.is_some() => self.chosen(file, view, "view_next").map(Some),
             (None, None) if view.is_some() => {
-                wrong_settings!("--view-next selects a camera of --camera-next or --camera: give one of them")
+                wrong_settings!("`view_next` selects a camera of `camera_next` or `camera`: give one of them")
             }
             (None, _) => Ok(None),
         }
@@ -137,7 +148,7 @@ impl CameraArgs {
         }
     }
 
-    fn chosen(&self, file: &Path, view: Option<&str>, option: &str) -> anyhow::Result<Camera> {
+    fn chosen(&self, file: &Path, view: Option<&str>, field: &str) -> anyhow::Result<Camera> {
         let cameras = self.read(file)?;
         let found = match view {
             None => (cameras.len() == 1).then_some(&cameras[0]),
@@ -149,7 +160,7 @@ impl CameraArgs {
                 None => "choose one".to_owned(),
             };
             wrong_settings!(
-                "{} holds {} cameras: {what}; give {option} a name or a number from 0 to {}; the first names are {}",
+                "{} holds {} cameras: {what}; give `{field}` a name or a number from 0 to {}; the first names are {}",
                 file.display(),
                 cameras.len(),
                 cameras.len() - 1,
@@ -171,7 +182,7 @@ impl CameraArgs {
         let proportions = (width * camera.height) as f64 / (height * camera.width) as f64;
         if (proportions - 1.0).abs() > 0.01 {
             wrong_settings!(
-                "--size {width}x{height} would stretch the picture of `{}`, which is {}x{}: give the same proportions",
+                "`size` {width}x{height} would stretch the picture of `{}`, which is {}x{}: give the same proportions",
                 excerpt(name),
                 camera.width,
                 camera.height
@@ -182,8 +193,8 @@ impl CameraArgs {
 }
 
 fn note_distortion(file: &Path, NamedCamera { name, distortion, .. }: &NamedCamera) {
-    note!(
-        "note: {}: the lens of `{}` distorts ({}); it is rendered without distortion, as Gaussians are trained on \
+    log::warn!(
+        "{}: the lens of `{}` distorts ({}); it is rendered without distortion, as Gaussians are trained on \
         undistorted pictures",
         file.display(),
         excerpt(name),
@@ -220,6 +231,7 @@ mod tests {
         for wrong in ["", "x", "0x10", "360x1", "360x", "infx4", "90x-3", "nan"] {
             assert!(wrong.parse::<Orbit>().is_err(), "{wrong}");
         }
+        assert_eq!(Orbit { degrees: -90.0, frames: 30 }.to_string(), "-90x30");
     }
 
     #[test]

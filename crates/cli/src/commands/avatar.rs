@@ -1,0 +1,39 @@
+//! `srflow avatar`: head models and avatars.
+
+use clap::{Args, Subcommand};
+use srflow::avatar;
+
+use crate::Context;
+use crate::run::run as run_job;
+
+/// Head models and avatars: captures, fitting, training, scores, meshes, export, action units
+#[derive(Args)]
+pub struct Avatar {
+    #[command(subcommand)]
+    command: AvatarCommand,
+}
+
+#[derive(Subcommand)]
+enum AvatarCommand {
+    Capture(avatar::capture::CaptureJob),
+    Eval(avatar::eval::EvalJob),
+    Export(avatar::export::ExportJob),
+    Fit(avatar::fit::FitJob),
+    Import(avatar::import::ImportJob),
+    Mesh(avatar::mesh::MeshJob),
+    Train(avatar::train::TrainJob),
+    Units(avatar::units::UnitsJob),
+}
+
+pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
+    match args.command {
+        AvatarCommand::Capture(job) => run_job(&job, context),
+        AvatarCommand::Eval(job) => run_job(&job, context),
+        AvatarCommand::Export(job) => run_job(&job, context),
+        AvatarCommand::Fit(job) => run_job(&job, context),
+        AvatarCommand::Import(job) => run_job(&job, context),
+        AvatarCommand::Mesh(job) => run_job(&job, context),
+        AvatarCommand::Train(job) => run_job(&job, context),
+        AvatarCommand::Units(job) => run_job(&job, context),
+    }
+}

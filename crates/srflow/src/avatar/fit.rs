@@ -1,0 +1,364 @@
+//! Fitting a head model to landmarks.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use anyhow::Context as _;
+use serde::{Deserialize, Serialize};
+use srflow_avatar::capture::{Capture, CaptureView, HeadRecord, LANDMARKS_NAME, Landmarks, write_tracked};
+use srflow_avatar::fit::{FitOptions, FitReport, FitStage, LandmarkView, Reach, fit};
+use srflow_avatar::{HeadPose, HeadSource};
+use srflow_core::{SettingError, excerpts};
+use srflow_files::{create_folder, write_file};
+use srflow_render::capture::TrueCapture;
+use srflow_render::mesh_error::{MeshError, mesh_error};
+
+use super::mesh::default_seed;
+use super::paths::from_to;
+use super::scores::mesh_table;
+use crate::clap::Args;
+use crate::error::wrong_settings;
+use crate::output::{ensure_folder, ensure_free, write_tables};
+use crate::render::head_help;
+use crate::{Job, Report, Watch};
+
+/// Fit a head model to the landmarks of a capture
+///
+/// Identity, and expressions, joint rotations and translation at every timestep, from the 68 landmarks of dlib in pictures of
+/// any number of calibrated cameras. Missing pictures, missing landmarks and wrong detections are tolerated and reported. Writes a
+/// capture as VHAP exports it, whose pictures stay where they are. docs/avatars.md describes the files.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[command(after_help = "Examples:
+  srflow avatar fit capture --model builtin-average --out fitted
+  srflow avatar fit capture --model ict:FaceXModel --landmarks-of 8=openface.csv --cameras 8 --out front")]
+pub struct FitJob {
+    /// Folder of the capture: transforms.json or transforms_train.json with its cameras, and landmarks.csv
+    #[arg(value_name = "DATA")]
+    pub data: PathBuf,
+    /// Head model
+    #[arg(long, value_name = "HEAD", help = head_help())]
+    pub model: HeadSource,
+    /// Folder to write
+    #[arg(short, long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Landmarks: a table as landmarks.csv, or a folder of iBUG's .pts named as the pictures [default: DATA/landmarks.csv]
+    #[arg(long, value_name = "PATH", conflicts_with = "landmarks_of")]
+    #[serde(default)]
+    pub landmarks: Option<PathBuf>,
+    /// Landmarks of one camera as written by OpenFace, or by MediaPipe as columns x_0, y_0, ...; may be repeated
+    #[arg(long, value_name = "CAMERA=FILE")]
+    #[serde(default)]
+    pub landmarks_of: Vec<TableOf>,
+    /// Use only these cameras
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',')]
+    #[serde(default)]
+    pub cameras: Vec<u32>,
+    /// Standard deviation of the landmarks' coordinates in pixels [default: estimated]
+    #[arg(long, value_name = "PIXELS")]
+    #[serde(default)]
+    pub noise: Option<f64>,
+    /// Fit at most this many shapes of the identity basis
+    #[arg(long, value_name = "N", default_value_t = default_identities())]
+    #[serde(default = "default_identities")]
+    pub identities: usize,
+    /// Fit at most this many shapes of the expression basis
+    #[arg(long, value_name = "N", default_value_t = default_expressions())]
+    #[serde(default = "default_expressions")]
+    pub expressions: usize,
+    /// Seed of a built-in head
+    #[arg(long, value_name = "N", default_value_t = default_seed())]
+    #[serde(default = "default_seed")]
+    pub seed: u64,
+    /// Compare the mesh with that of the true head, which `srflow avatar capture` wrote into this folder; may be DATA itself
+    #[arg(long, value_name = "DIR")]
+    #[serde(default)]
+    pub truth: Option<PathBuf>,
+    /// Overwrite an earlier fit in the folder
+    #[arg(long)]
+    #[serde(default)]
+    pub force: bool,
+}
+
+fn default_identities() -> usize {
+    FitOptions::default().identities
+}
+
+fn default_expressions() -> usize {
+    FitOptions::default().expressions
+}
+
+/// Landmarks of one camera, written `CAMERA=FILE`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TableOf {
+    pub camera: u32,
+    pub file: PathBuf,
+}
+
+impl fmt::Display for TableOf {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{}={}", self.camera, self.file.display())
+    }
+}
+
+srflow_core::serialize_as_text!(TableOf);
+
+impl FromStr for TableOf {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('=').filter(|(_, file)| !file.is_empty());
+        let table =
+            parts.and_then(|(camera, file)| Some(Self { camera: camera.parse().ok()?, file: file.into() }));
+        table.ok_or_else(|| {
+            format!("`{text}`: expected the number of a camera and a file, such as 8=front.csv")
+        })
+    }
+}
+
+/// The fit that [`FitJob`] wrote, as in `fit.json`.
+#[derive(Debug, Clone, Serialize)]
+pub struct Fitted {
+    pub data: PathBuf,
+    pub model: String,
+    pub out: PathBuf,
+    pub timesteps: usize,
+    pub pictures: usize,
+    /// Landmarks of pictures that the capture does not have.
+    pub unused_faces: usize,
+    /// Where the origin of the written files was in those of the capture, metres.
+    pub origin: [f64; 3],
+    #[serde(flatten)]
+    pub report: FitReport,
+    #[serde(skip)]
+    has_truth: bool,
+    /// `None` without a true head, or where that has another mesh.
+    pub mesh_error: Option<MeshError>,
+}
+
+const FIT_NAME: &str = "fit.json";
+
+impl Job for FitJob {
+    const NAME: &'static str = "avatar fit";
+
+    type Report = Fitted;
+
+    fn work(&self, watch: &Watch) -> anyhow::Result<Fitted> {
+        ensure_folder(&self.out)?;
+        if let Some(noise) = self.noise.filter(|noise| !(*noise > 0.0 && noise.is_finite())) {
+            let (field, expected) = ("noise", "a number of pixels above 0".to_owned());
+            return Err(SettingError { field, found: noise.to_string(), expected }.into());
+        }
+        if self.landmarks.is_some() && !self.landmarks_of.is_empty() {
+            wrong_settings!("`landmarks` and `landmarks_of` cannot be used together");
+        }
+        ensure_free([self.out.join("transforms.json")], self.force)?;
+        let capture = Capture::read(&self.data)?;
+        if same_folder(&self.out, &self.data) {
+            wrong_settings!(
+                "`out`: expected another folder than that of the capture, whose parameters would be overwritten"
+            );
+        }
+        let landmarks = self.read_landmarks(&capture)?;
+        let truth = self.truth.as_deref().map(TrueCapture::read).transpose().context("`truth`")?;
+        let model = self.model.model(self.seed).with_context(|| format!("reading {}", self.model))?;
+
+        let used = self.used_views(&capture)?;
+        let faces: Vec<LandmarkView> = used
+            .iter()
+            .map(|view| LandmarkView {
+                timestep: view.timestep,
+                camera_index: view.camera_index,
+                camera: view.camera,
+                landmarks: landmarks.get(view.timestep, view.camera_index).copied().unwrap_or([None; 68]),
+            })
+            .collect();
+        let known =
+            capture.views().iter().filter(|view| landmarks.get(view.timestep, view.camera_index).is_some());
+        let unused_faces = landmarks.len() - known.count();
+        let options = FitOptions {
+            identities: self.identities,
+            expressions: self.expressions,
+            noise: self.noise,
+            ..FitOptions::default()
+        };
+        let count = watch.count("steps", None);
+        let fitted = fit(&model, &faces, &options, |stage, done, steps| {
+            count.set_total(steps as u64);
+            count.set(done as u64);
+            count.message(match stage {
+                FitStage::First => "first timestep",
+                FitStage::Track => "tracking",
+                FitStage::Refine => "all timesteps together",
+            });
+        })?;
+
+        create_folder(&self.out)?;
+        let up = from_to(&self.out, capture.dir())?;
+        let views: Vec<CaptureView> = used
+            .into_iter()
+            .map(|view| CaptureView {
+                image: up.join(&view.image),
+                mask: view.mask.as_ref().map(|mask| up.join(mask)),
+                ..view.clone()
+            })
+            .collect();
+        let record = HeadRecord::new(self.model.to_string(), self.seed, &model);
+        let parameters = fitted.parameters(&model);
+        let origin = write_tracked(&self.out, &model, &record, &views, &fitted.timesteps, parameters)?;
+        let mesh_error = match &truth {
+            None => None,
+            Some(truth) => {
+                let written = Capture::read(&self.out)?;
+                let parameters = written.parameters()?;
+                let poses: Vec<HeadPose> = parameters.poses.iter().map(|pose| pose.pose(&model)).collect();
+                mesh_error(truth, &written, &model, &model.shaped(&parameters.shape), &poses)
+            }
+        };
+        let report = Fitted {
+            data: self.data.clone(),
+            model: self.model.to_string(),
+            out: self.out.clone(),
+            timesteps: fitted.timesteps.len(),
+            pictures: faces.len(),
+            unused_faces,
+            origin: origin.to_array(),
+            report: fitted.report,
+            has_truth: truth.is_some(),
+            mesh_error,
+        };
+        write_file(&self.out.join(FIT_NAME), serde_json::to_string_pretty(&report)? + "\n")?;
+        Ok(report)
+    }
+}
+
+impl FitJob {
+    /// The views of the chosen cameras.
+    fn used_views<'a>(&self, capture: &'a Capture) -> anyhow::Result<Vec<&'a CaptureView>> {
+        if let Some(unknown) = self.cameras.iter().find(|camera| !capture.camera_indices().contains(camera)) {
+            wrong_settings!(
+                "`cameras` {unknown}: the capture has the cameras {:?}",
+                capture.camera_indices()
+            );
+        }
+        let is_used =
+            |view: &&CaptureView| self.cameras.is_empty() || self.cameras.contains(&view.camera_index);
+        Ok(capture.views().iter().filter(is_used).collect())
+    }
+
+    fn read_landmarks(&self, capture: &Capture) -> anyhow::Result<Landmarks> {
+        if self.landmarks_of.is_empty() {
+            let path = self.landmarks.clone().unwrap_or_else(|| self.data.join(LANDMARKS_NAME));
+            let read = if path.is_dir() { Landmarks::read_points(&path) } else { Landmarks::read(&path) };
+            let advice =
+                "the landmarks of the capture; `landmarks` and `landmarks_of` read those of detectors";
+            return read.context(advice);
+        }
+        let mut landmarks = Landmarks::default();
+        for TableOf { camera, file } in &self.landmarks_of {
+            let Some(view) = capture.views().iter().find(|view| view.camera_index == *camera) else {
+                wrong_settings!(
+                    "`landmarks_of` {camera}=: the capture has the cameras {:?}",
+                    capture.camera_indices()
+                );
+            };
+            landmarks.add_table(file, *camera, (view.camera.width, view.camera.height))?;
+        }
+        Ok(landmarks)
+    }
+}
+
+fn same_folder(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+impl Report for Fitted {}
+
+impl fmt::Display for Fitted {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Self { timesteps, pictures, unused_faces, report, out, .. } = self;
+        let cameras = report.cameras.len();
+        let share = 100.0 * report.outliers as f64 / report.landmarks.max(1) as f64;
+        writeln!(
+            f,
+            "Fitted timesteps: {timesteps}, pictures: {pictures}, cameras: {cameras}; written to {}",
+            out.display()
+        )?;
+        writeln!(
+            f,
+            "{} landmarks, {} missing, {} outliers ({share:.1} %), noise {:.2} px",
+            report.landmarks, report.missing, report.outliers, report.noise
+        )?;
+        for camera in &report.cameras {
+            writeln!(
+                f,
+                "  camera {:>2}: {} landmarks, {} outliers, median distance {:.2} px",
+                camera.camera_index, camera.landmarks, camera.outliers, camera.median
+            )?;
+        }
+        if *unused_faces > 0 {
+            writeln!(
+                f,
+                "The landmarks of {unused_faces} pictures were not used: the capture has no such timestep and camera."
+            )?;
+        }
+        if !report.empty_timesteps.is_empty() {
+            let names: Vec<String> = report.empty_timesteps.iter().map(u32::to_string).collect();
+            writeln!(f, "Without landmarks, following from their neighbours: timesteps {}", listed(&names))?;
+        }
+        if !report.suspect_views.is_empty() {
+            let names = report
+                .suspect_views
+                .iter()
+                .map(|view| format!("{:05}_{:02}", view.timestep, view.camera_index));
+            writeln!(f, "Most landmarks are outliers in pictures {}", listed(&names.collect::<Vec<_>>()))?;
+        }
+        write_reach(f, &report.reach)?;
+        if let Some(error) = &self.mesh_error {
+            writeln!(f)?;
+            write_tables(f, &[mesh_table(error)])?;
+        } else if self.has_truth {
+            writeln!(
+                f,
+                "The true head has another mesh than {}: no points correspond, and no distance is known.",
+                self.model
+            )?;
+        }
+        Ok(())
+    }
+}
+
+fn write_reach(f: &mut fmt::Formatter, reach: &Reach) -> fmt::Result {
+    let Reach { timestep, cameras, depth, across, eye_corners: [corners, deviation], .. } = reach;
+    let millimetres = |metres: f64| 1000.0 * metres;
+    writeln!(
+        f,
+        "At timestep {timestep}, if the model can be this head: place known to {:.1} mm in depth and {:.1} mm across; outer corners \
+         of the eyes {:.1} mm apart, known to {:.1} mm",
+        millimetres(*depth),
+        millimetres(*across),
+        millimetres(*corners),
+        millimetres(*deviation)
+    )?;
+    if *cameras == 1 {
+        writeln!(
+            f,
+            "One camera sees no scale: size and distance of the head follow from what heads the model finds likely."
+        )?;
+    }
+    for (what, unknown, of) in [
+        ("identity weights", &reach.unknown_identities, Some(reach.identities)),
+        ("expression weights", &reach.unknown_expressions, Some(reach.expressions)),
+        ("joints", &reach.unknown_joints, None),
+    ] {
+        if !unknown.is_empty() {
+            let of = of.map(|of| format!(" ({} of {of})", unknown.len())).unwrap_or_default();
+            writeln!(f, "Not determined by the landmarks: {what}{of}: {}", listed(unknown))?;
+        }
+    }
+    Ok(())
+}
+
+fn listed(names: &[String]) -> String {
+    excerpts(names.iter().map(String::as_str), 12)
+}

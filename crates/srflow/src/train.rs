@@ -35,7 +35,7 @@ Examples:
   srflow train --resume runs/first
   mpirun -n 4 srflow train --mpi --config skflow --data srflow:DIR --batch 8 --out runs/nodes
 
-docs/training.md is the guide: your own data, what the keys mean, what a run writes.")]
+docs/guides/train.md is the guide; docs/reference/configuration.md lists the keys.")]
 pub struct TrainJob {
     /// Preset or TOML file to start from [default: the paper's retrained SKFlow]
     #[arg(long, value_name = "PRESET|FILE", help = config_help())]

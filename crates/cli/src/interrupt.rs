@@ -47,11 +47,6 @@ impl Continuable {
         Self::of(true, left)
     }
 
-    /// Work that may be dropped; `kept` is what remains of it.
-    pub fn keeping(kept: &'static str) -> Self {
-        Self::of(true, move || kept.to_owned())
-    }
-
     /// Work that asks [`requested`] and saves what it has done, which may take longer than a second.
     pub fn saved() -> Self {
         Self::of(false, || "saving what is done; a second signal ends without".to_owned())

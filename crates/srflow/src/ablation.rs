@@ -19,7 +19,7 @@ use srflow_train::config::{Config, Source};
 use crate::clap::Args;
 use crate::made::open_made;
 use crate::output::{ensure_folder, latex, write_tables};
-use crate::train::{Overrides, Steps, configuration, default_device, find_weights};
+use crate::train::{Overrides, Steps, default_device, find_weights};
 use crate::{Job, Report, Watch, WhenStopped, machine};
 
 /// Train with each loss of the paper and print its Table V
@@ -106,7 +106,7 @@ impl Job for AblationJob {
 
     fn work(&self, watch: &Watch) -> anyhow::Result<AblationReport> {
         ensure_folder(&self.out)?;
-        let mut base = self.overrides.apply(configuration(self.config.as_deref())?)?;
+        let mut base = self.overrides.configuration(self.config.as_deref())?;
         find_weights(&mut base, watch)?;
         let can_run = |data: VariantData| match data {
             VariantData::None if base.network.weights.as_os_str().is_empty() => {

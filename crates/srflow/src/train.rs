@@ -17,7 +17,7 @@ use srflow_train::{Event, Outcome, RunMode, Start, Training, config_of_run, repo
 
 use crate::clap::Args;
 use crate::error::wrong_settings;
-use crate::made::open_made;
+use crate::made::{check_made, open_made};
 use crate::networks::{note_if_ambiguous, weights_file};
 use crate::watch::Progress;
 use crate::{Job, Report, Watch, WhenStopped, machine};
@@ -35,7 +35,7 @@ Examples:
   srflow train --resume runs/first
   mpirun -n 4 srflow train --mpi --config skflow --data srflow:DIR --batch 8 --out runs/nodes
 
-docs/guides/train.md is the guide: your own data, what the keys mean, what a run writes.")]
+docs/guides/train.md is the guide; docs/reference/configuration.md lists the keys.")]
 pub struct TrainJob {
     /// Preset or TOML file to start from [default: the paper's retrained SKFlow]
     #[arg(long, value_name = "PRESET|FILE", help = config_help())]
@@ -111,11 +111,17 @@ fn config_help() -> String {
 }
 
 impl Overrides {
-    /// The configuration with these settings.
+    /// The preset or TOML file `name`, or the default configuration, with these settings.
     ///
     /// # Errors
-    /// When a value does not fit its key.
-    pub fn apply(&self, mut config: Config) -> anyhow::Result<Config> {
+    /// When there is no such file, a key is unknown, or a value does not fit its key.
+    pub fn configuration(&self, name: Option<&Path>) -> anyhow::Result<Config> {
+        let config = self.apply(name.map(Config::read).transpose()?.unwrap_or_default())?;
+        check_made(&config).map_err(anyhow::Error::msg)?;
+        Ok(config)
+    }
+
+    fn apply(&self, mut config: Config) -> anyhow::Result<Config> {
         for (key, sources) in [("data.train", &self.data), ("validation.data", &self.validation)] {
             if !sources.is_empty() {
                 let list = serde_json::to_string(sources)?; // a list of strings is the same in TOML
@@ -205,7 +211,7 @@ impl TrainJob {
                 "`out` is missing: give the folder of the run, or one to continue as `resume`"
             ),
         };
-        let config = self.overrides.apply(configuration(self.config.as_deref())?)?;
+        let config = self.overrides.configuration(self.config.as_deref())?;
         Ok(Run { config, out, mode: RunMode::New })
     }
 
@@ -256,11 +262,6 @@ impl Job for TrainJob {
         }
         self.train(&Alone, watch)
     }
-}
-
-/// The preset or TOML file of this name; the default configuration without one.
-pub(crate) fn configuration(name: Option<&Path>) -> anyhow::Result<Config> {
-    Ok(name.map(Config::read).transpose()?.unwrap_or_default())
 }
 
 /// Fetches published weights if a name and not a file is given.

@@ -378,7 +378,10 @@ fn made_data_that_cannot_be_made_says_why() {
         ("rendered:", "data.rendered.size=64x40", &["data.rendered.size = 64x40"]),
         ("shapes:", "data.shapes.pairs=0", &["data.shapes.pairs = 0"]),
         ("shapes:", "data.shapes.motion=[5, 1]", &["data.shapes.motion = 5,1: expected two lengths"]),
+        ("shapes:", "data.shapes.textures=dir", &["data.shapes.textures: unknown key", "motion, "]),
         ("rendered:", "data.rendered.background=#12", &["data.rendered.background: `#12`"]),
+        ("rendered:", "data.rendered.motion=5", &["data.rendered.motion: integer `5`"]),
+        ("rendered:", "data.rendered.noise=4", &["data.rendered.noise: unknown key", "background, "]),
         (
             "rendered:",
             "data.rendered.recording.lamps=3",

@@ -22,7 +22,7 @@ use crate::usage::wrong_usage;
 #[derive(Args, Clone, Copy, Default)]
 pub struct ShardArgs {
     /// Do only part I of N; `auto` takes the part of this job or process from the variables of Slurm, Kubernetes and other job engines,
-    /// `auto/N` where they do not tell how many parts there are (docs/clusters.md)
+    /// `auto/N` where they do not tell how many parts there are (docs/guides/clusters.md)
     #[arg(long, value_name = "I/N|auto", default_value = "1/1", hide_default_value = true)]
     shard: ShardChoice,
 }

@@ -1,5 +1,5 @@
-//! A dataset that was rasterized on a GPU is that of the CPU within the tolerance that docs/dataset.md states. `SRFLOW_TEST_DEVICE` names the
-//! GPU; see docs/devices.md.
+//! A dataset that was rasterized on a GPU is that of the CPU within the tolerance that
+//! docs/guides/render-datasets.md states. `SRFLOW_TEST_DEVICE` names the GPU; see docs/devices.md.
 
 mod tiny;
 

@@ -18,7 +18,7 @@ use crate::usage::wrong_usage;
 /// pixel, .png128 of 1/128, .npz16 of 1/256 (more where flow is longer than 128 pixels).
 ///
 /// 3D Gaussians: both formats from the extension: .ply, .splat, .spz or .glb. What is upright in IN is upright in OUT: between formats
-/// with another direction of up they are turned by 180 degrees about the x axis. docs/rasterize.md lists what each format keeps.
+/// with another direction of up they are turned by 180 degrees about the x axis. docs/guides/rasterize.md lists what each format keeps.
 /// `srflow avatar export` writes the Gaussians of a head.
 #[derive(Args)]
 #[command(after_help = "Examples:

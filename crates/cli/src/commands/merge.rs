@@ -20,7 +20,7 @@ Examples:
 Parts are folders of `srflow render`, `srflow shapes` or `srflow mer synth` with the same arguments, seed and version. Files are hard links \
 to those of the parts, which takes no space, or copies where the parts are on another disk. What parts alone cannot have is \
 written: statistics, tables, the hashes of all files. Nothing in the parts is changed. Run the same command again to continue \
-an interrupted merge. docs/clusters.md shows whole jobs.")]
+an interrupted merge. docs/guides/clusters.md shows whole jobs.")]
 pub struct Merge {
     /// Folders of the parts
     #[arg(required = true, value_name = "PART")]

@@ -21,7 +21,7 @@ Examples:
   srflow eval --dataset wds:packed --method farneback
   srflow eval --dataset wds:https://HOST/FOLDER --method farneback
 
-The same command given again continues where a run was stopped: whole tars are kept. docs/publishing.md describes the files, how to
+The same command given again continues where a run was stopped: whole tars are kept. docs/guides/publish.md describes the files, how to
 upload them, and how other programs read them.")]
 pub struct Pack {
     /// Folder of a complete dataset written by `srflow render` or `srflow shapes`

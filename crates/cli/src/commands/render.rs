@@ -28,7 +28,7 @@ Examples:
   srflow render --out train --preset wild --size 550x802     frames that look like recordings
 
 The same command given again continues where a run was stopped. `srflow check`
-examines the dataset; its files are described in docs/dataset.md.")]
+examines the dataset; its files are described in docs/reference/dataset-format.md.")]
 pub struct Render {
     /// Folder of the dataset
     #[arg(long, value_name = "DIR")]

@@ -17,7 +17,7 @@ Examples:
   srflow shapes --out subpixel --pairs 2000 --motion 0.05,1
   srflow train --config cpu-small --data chairs:shapes --out runs/start
 
-The same command given again continues where a run was stopped. docs/shapes.md describes the pairs and their files, whose
+The same command given again continues where a run was stopped. docs/reference/shapes.md describes the pairs and their files, whose
 layout is that of FlyingChairs: other programs can read them too.")]
 pub struct Shapes {
     /// Folder of the dataset

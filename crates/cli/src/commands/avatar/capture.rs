@@ -18,7 +18,7 @@ Examples:
   srflow avatar capture --out small --cameras 4 --timesteps 30 --size 220x320
 
 Everything true is known: alpha, cameras, the parameters of the head and its landmarks. The same command given again continues
-where a run was stopped. The files are described in docs/avatars.md.")]
+where a run was stopped. The files are described in docs/reference/avatar-files.md.")]
 pub struct Capture {
     /// Folder of the capture
     #[arg(short, long, value_name = "DIR")]

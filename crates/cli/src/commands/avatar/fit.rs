@@ -24,7 +24,7 @@ use crate::usage::wrong_usage;
 ///
 /// Identity, and expressions, joint rotations and translation at every timestep, from the 68 landmarks of dlib in pictures of
 /// any number of calibrated cameras. Missing pictures and landmarks and wrong detections are survived and reported. Writes a
-/// capture as VHAP exports it, whose pictures stay where they are. docs/avatars.md describes the files.
+/// capture as VHAP exports it, whose pictures stay where they are. docs/reference/avatar-files.md describes the files.
 #[derive(Args)]
 #[command(after_help = "Examples:
   srflow avatar fit capture --model builtin-average --out fitted

@@ -16,7 +16,7 @@ use crate::usage::wrong_usage;
 /// `srflow avatar export` writes the mesh of a person together with the Gaussians.
 ///
 /// The parameters have VHAP's names (shape, expr, rotation, neck_pose, jaw_pose, eyes_pose, translation, static_offset,
-/// dynamic_offset) for every kind of head; those that are missing are zero. docs/avatars.md describes the kinds of head and
+/// dynamic_offset) for every kind of head; those that are missing are zero. docs/reference/avatar-files.md describes the kinds of head and
 /// where their files come from.
 #[derive(Args)]
 #[command(after_help = "Examples:

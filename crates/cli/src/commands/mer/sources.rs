@@ -17,7 +17,7 @@ pub struct SourceArgs {
     /// CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder]
     #[arg(long, value_name = "FILE")]
     apex_list: Option<PathBuf>,
-    /// Classes: a name (see below), or your own TOML file (docs/mer.md)
+    /// Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md)
     #[arg(long, value_name = "CLASSES", default_value = CLASS_SETS[0].0)]
     classes: String,
     /// Tolerate missing frames; clips without onset or apex are dropped

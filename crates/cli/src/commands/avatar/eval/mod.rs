@@ -39,7 +39,7 @@ Examples:
   srflow avatar eval runs/fitted fitted --flow --truth capture
   srflow avatar eval avatar@flame:flame2023.pkl person --split test --json
 
-docs/avatars.md defines the scores.")]
+docs/explanation/avatars.md defines the scores.")]
 pub struct Eval {
     /// Folder of the avatar, or of its training; DIR@HEAD where no head.json names its head model
     #[arg(value_name = "AVATAR", value_parser = avatar_source)]

@@ -28,7 +28,7 @@ use crate::{Context, machine};
 ///
 /// Gaussians bound to the triangles of the head model are learned from the pictures, as in GaussianAvatars, and its poses are
 /// corrected. Pictures of a held-out camera and of held-out timesteps are scored. Writes the avatar in GaussianAvatars' files and a
-/// report. docs/avatars.md describes the files and the settings.
+/// report. docs/guides/fit-and-train-avatars.md describes the files and the settings.
 #[derive(Args)]
 #[command(after_help = "Examples:
   srflow avatar train capture --config cpu --out runs/first
@@ -83,10 +83,10 @@ struct Overrides {
     /// How Gaussians are added and removed: default (3D Gaussian Splatting), absgs or mcmc
     #[arg(long, value_name = "NAME")]
     strategy: Option<String>,
-    /// Render Gaussians smaller than a pixel antialiased; see docs/rasterize.md
+    /// Render Gaussians smaller than a pixel antialiased; see docs/guides/rasterize.md
     #[arg(long)]
     antialiased: bool,
-    /// Keep the defects of GaussianAvatars' code, listed in docs/avatars.md
+    /// Keep the defects of GaussianAvatars' code, listed in docs/explanation/avatars.md
     #[arg(long)]
     faithful: bool,
     /// Any key of the configuration, e.g. ssim_weight=0.1 or density.until=15000

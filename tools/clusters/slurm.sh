@@ -1,5 +1,5 @@
 #!/bin/bash
-# Runs the recipe of docs/clusters.md on a Slurm of one machine: an array of four jobs makes a dataset, one of them is cancelled by a signal on the
+# Runs the recipe of docs/guides/clusters.md on a Slurm of one machine: an array of four jobs makes a dataset, one of them is cancelled by a signal on the
 # way and requeued, a last job merges the parts, and the result has the bytes of one run.
 #
 #     sudo tools/clusters/slurm.sh path/to/srflow FOLDER

@@ -1,5 +1,5 @@
 #!/bin/bash
-# Runs the recipe of docs/clusters.md for training on several nodes on a Slurm of one machine: two ranks that srun starts, which get SIGTERM on the
+# Runs the recipe of docs/guides/clusters.md for training on several nodes on a Slurm of one machine: two ranks that srun starts, which get SIGTERM on the
 # way and are requeued. The weights are those of one process that accumulates two parts.
 #
 #     apt-get install openmpi-bin

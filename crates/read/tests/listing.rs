@@ -78,12 +78,12 @@ fn every_option_that_the_list_names_is_taken() {
 
 #[test]
 fn the_page_on_datasets_lists_every_kind_with_its_options() {
-    let page = fs::read_to_string("../../docs/datasets.md").unwrap();
+    let page = fs::read_to_string("../../docs/reference/datasets.md").unwrap();
     for kind in &KINDS {
         let options: Vec<String> =
             kind.options.iter().map(|choices| format!("`{}`", choices.join("`, `"))).collect();
         let row = format!("| `{}` | {} |", kind.name, options.join("; ")).replace("|  |", "| |");
-        assert!(page.contains(&row), "docs/datasets.md lacks {row}");
+        assert!(page.contains(&row), "docs/reference/datasets.md lacks {row}");
     }
 }
 

@@ -503,11 +503,14 @@ fn a_frame_that_is_there_twice_is_refused() {
 
 #[test]
 fn the_page_on_micro_expressions_lists_every_kind() {
-    let page = fs::read_to_string("../../docs/mer.md").unwrap();
+    let page = fs::read_to_string("../../docs/reference/micro-expression-files.md").unwrap();
     for kind in &CLIP_KINDS {
         let releases = kind.releases.iter().map(|release| format!("{}-{release}", kind.name));
         for word in releases.chain([kind.name.to_owned()]) {
-            assert!(page.contains(&format!("| `{word}` |")), "docs/mer.md lacks {word}");
+            assert!(
+                page.contains(&format!("| `{word}` |")),
+                "docs/reference/micro-expression-files.md lacks {word}"
+            );
             assert_eq!(source(&format!("{word}:dir")).to_string(), format!("{word}:dir"));
         }
     }

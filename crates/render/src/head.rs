@@ -33,7 +33,7 @@ fn head_files(head: &HeadSource) -> Result<Vec<(String, u64)>, RenderError> {
             field: "head",
             path: path.clone(),
             error,
-            expected: "the file or folder of a head model, as docs/avatars.md describes it",
+            expected: "the file or folder of a head model, as docs/reference/avatar-files.md describes it",
         };
         let metadata = std::fs::metadata(&path).map_err(failed)?;
         if metadata.is_dir() {

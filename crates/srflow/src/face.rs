@@ -37,7 +37,7 @@ pub struct FaceArgs {
     /// Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels
     #[arg(long, value_name = "BOX", conflicts_with = "landmarks")]
     face_box: Option<FaceBox>,
-    /// Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/faces.md)
+    /// Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md)
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
 }

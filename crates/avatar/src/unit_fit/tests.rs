@@ -177,7 +177,8 @@ fn nearest_points_are_those_of_all_triangles() {
     assert!(found > 50 && none > 50, "{found} {none}");
 }
 
-/// ICT-FaceKit has action units of its own, which its expressions are the components of here. The numbers are in docs/avatars.md.
+/// ICT-FaceKit has action units of its own, which its expressions are the components of here. The numbers are in
+/// docs/explanation/avatars.md.
 #[test]
 fn units_are_found_in_ict_facekit() {
     let folder = std::path::Path::new("../../../shared/data/ict-facekit/FaceXModel");

@@ -76,7 +76,9 @@ impl PackedFlow {
             Self::Npy => "NumPy array of float16, NaN where unknown",
             Self::Npy32 => "NumPy array of float32, NaN where unknown",
             Self::Png => "KITTI's 16-bit PNG: `(value - 32768) / 64`, blue is 0 where unknown",
-            Self::Npz16 => "NumPy archive of steps of 1/256 px, as srflow's docs/dataset.md describes it",
+            Self::Npz16 => {
+                "NumPy archive of steps of 1/256 px, as srflow's docs/reference/dataset-format.md describes it"
+            }
         }
     }
 

@@ -36,7 +36,7 @@ mod video;
 use std::ffi::OsString;
 use std::io::{self, Write};
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 
 pub use commands::render::render;
 pub use commands::train::train;
@@ -96,6 +96,11 @@ enum Command {
     View(commands::view::View),
     Check(commands::check::Check),
     Merge(commands::merge::Merge),
+}
+
+/// All commands and options, as `--help` shows them.
+pub fn command() -> clap::Command {
+    Cli::command()
 }
 
 /// Runs the command with the arguments of a process, of which the first is its name, and returns its exit code.

@@ -121,9 +121,7 @@ fn run(cases: &[[String; 3]]) -> Option<String> {
     let python = std::env::var("SRFLOW_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let ready = Command::new(&python).args(["-c", "import numpy, onnx, onnxruntime"]).output();
     if !ready.is_ok_and(|ready| ready.status.success()) {
-        eprintln!(
-            "skipped: {python} with numpy, onnx and onnxruntime does not run; name another with SRFLOW_PYTHON"
-        );
+        eprintln!("skipped: onnx: {python} lacks numpy, onnx or onnxruntime; set SRFLOW_PYTHON");
         return None;
     }
     let ran = Command::new(&python)

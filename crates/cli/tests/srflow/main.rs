@@ -40,6 +40,7 @@ mod train;
 mod tree;
 mod videos;
 mod view;
+mod words;
 
 /// The program under test. Read when the tests run: a path fixed at build time would break if the checkout moves.
 fn binary() -> PathBuf {

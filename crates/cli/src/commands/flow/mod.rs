@@ -41,7 +41,7 @@ Examples:
 
 Two frames give one file, in the format of its extension. More frames, a folder of them (in the order of their numbers), or \
 a video give a folder with the flow from each frame to the next, named after the first frame (in a video after its number, \
-from 1). Several videos or folders of frames give a folder of its name each, and --shard divides them among processes or machines. Run the same command again to continue an interrupted run. Frames are read on demand: memory does not grow with \
+from 1). Several videos or folders of frames give one folder per input, named after it, and --shard divides them among processes or machines. Run the same command again to continue an interrupted run. Frames are read on demand: memory does not grow with \
 the length of a sequence. Videos are read and written by the program ffmpeg. With \
 --face detect the flow is that of the face, upright and cut out of all frames alike: docs/faces.md.")]
 pub struct Flow {

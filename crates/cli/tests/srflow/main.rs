@@ -33,6 +33,9 @@ mod models;
 mod pack;
 mod ranks;
 mod rasterize;
+// The help lists the devices of a build.
+#[cfg(not(any(feature = "cuda", feature = "vulkan")))]
+mod reference;
 mod render_check;
 mod shapes;
 mod splats;

@@ -1,0 +1,6 @@
+//! Training, in a single test program so that the libraries are linked once.
+
+mod gradients;
+mod losses;
+mod optimizer;
+mod ranks;

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes OpenCV's flow for crates/classical/tests/opencv.rs: crates/classical/tests/data.
+"""Writes OpenCV's flow for crates/classical/tests/classical/opencv.rs: crates/classical/tests/data.
 
     pip install opencv-contrib-python-headless    # made with 5.0.0.93 on x86-64 with AVX2
     python3 tools/parity/classical.py [REAL_FRAMES_DIR]

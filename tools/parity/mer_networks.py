@@ -9,7 +9,7 @@ christy1206/STSTNet (main.py). Given a folder with the published code's models/ 
 Off-ApexNet are held to it, parameter by parameter and output by output.
 
 Parameters and inputs are not stored: both come from rules over names, shapes and positions, which
-crates/mer/tests/parity.rs repeats. Dropout is off in training here: its choices come from another generator. Written for
+crates/mer/tests/mer/parity.rs repeats. Dropout is off in training here: its choices come from another generator. Written for
 each network, as safetensors:
     evaluation      scores in evaluation, [5, 3]
     training        scores in training (batch statistics), [5, 3]

@@ -4,7 +4,7 @@
     python tools/parity/nets.py crates/nets/tests/golden [NETWORK...]
 
 Parameters and frames are not stored: both come from rules over names, shapes and positions, which
-crates/nets/tests/parity.rs repeats. Written for each network and case, as NETWORK_BATCHxHEIGHTxWIDTH.safetensors:
+crates/nets/tests/nets/parity.rs repeats. Written for each network and case, as NETWORK_BATCHxHEIGHTxWIDTH.safetensors:
     gain/PART    a number that parameters with PART in their name are multiplied with
     start        six numbers, of a network whose start is not the reference's: u of the coarse flow to start from is start[0] +
                  start[1] x + start[2] y in coarse pixels, v likewise of the last three

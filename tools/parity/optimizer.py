@@ -2,7 +2,7 @@
 
     python tools/parity/optimizer.py > crates/train/tests/golden/optimizer.json
 
-Made with PyTorch 2.11. `crates/train/tests/optimizer.rs` computes the same parameters and gradients.
+Made with PyTorch 2.11. `crates/train/tests/train/optimizer.rs` computes the same parameters and gradients.
 """
 
 import json

@@ -16,7 +16,7 @@ fn ict_folder() -> Option<PathBuf> {
     if folder.is_dir() {
         return Some(folder);
     }
-    eprintln!("skipped: no ICT-FaceKit at {}", folder.display());
+    eprintln!("skipped: shared-data: no ICT-FaceKit at {}", folder.display());
     None
 }
 

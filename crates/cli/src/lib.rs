@@ -88,6 +88,11 @@ enum Command {
     Merge(srflow::merge::MergeJob),
 }
 
+/// All commands and options, as `--help` shows them.
+pub fn command() -> clap::Command {
+    Cli::command()
+}
+
 /// Runs the command with the arguments of a process, of which the first is its name, and returns its exit code.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().collect();

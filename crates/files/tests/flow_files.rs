@@ -217,7 +217,7 @@ fn files_of_other_programs_hold_the_same_flow() {
 fn the_real_kitti_truth_has_its_known_statistics() {
     let path = Path::new("../../../shared/data/real-frames/kitti/flow_gt.png");
     if !path.exists() {
-        eprintln!("skipped: {} is not there", path.display());
+        eprintln!("skipped: shared-data: no {}", path.display());
         return;
     }
     let flow = read_flow(path).unwrap();

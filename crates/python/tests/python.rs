@@ -11,7 +11,7 @@ fn the_package_passes_its_tests() {
     let python = std::env::var("SRFLOW_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let ready = Command::new(&python).args(["-c", "import numpy, pytest"]).output();
     if !ready.is_ok_and(|ready| ready.status.success()) {
-        eprintln!("skipped: {python} with numpy and pytest does not run; name another with SRFLOW_PYTHON");
+        eprintln!("skipped: python: {python} lacks numpy or pytest; set SRFLOW_PYTHON");
         return;
     }
     let package = tempfile::tempdir().unwrap();
@@ -26,7 +26,7 @@ fn the_package_passes_its_tests() {
     let extension = if cfg!(windows) { "_srflow.pyd" } else { "_srflow.abi3.so" };
     std::fs::copy(library(), folder.join(extension)).unwrap();
     let tests = Command::new(&python)
-        .args(["-m", "pytest", "-q", "-p", "no:cacheprovider"])
+        .args(["-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider"])
         .arg(here.join("tests"))
         .env("PYTHONPATH", package.path())
         .env("PYTHONDONTWRITEBYTECODE", "1")
@@ -35,6 +35,10 @@ fn the_package_passes_its_tests() {
         .unwrap();
     let printed = String::from_utf8_lossy(&tests.stdout);
     assert!(tests.status.success(), "{printed}\n{}", String::from_utf8_lossy(&tests.stderr));
+    // "SKIPPED [1] test_flow.py:61: pytorch: not installed"
+    for line in printed.lines().filter(|line| line.starts_with("SKIPPED ")) {
+        eprintln!("skipped: {}", line.split_once(": ").map_or(line, |(_, reason)| reason));
+    }
 }
 
 /// The newest beside this test, or one folder up; cargo may add a hash to its name.

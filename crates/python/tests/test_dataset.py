@@ -50,9 +50,9 @@ def test_other_processes_read_the_same_pairs(shapes, start):
 
 @pytest.mark.parametrize("start", ["fork", "spawn"])
 def test_a_data_loader_of_pytorch_takes_it(shapes, start):
-    torch = pytest.importorskip("torch")
+    torch = pytest.importorskip("torch", reason="pytorch: not installed")
     if sys.platform == "win32" and start == "fork":
-        pytest.skip("no fork")
+        pytest.skip("fork: Windows has none")
     dataset = srflow.Dataset(f"chairs:{shapes}", split="all")
     loader = torch.utils.data.DataLoader(dataset, batch_size=2, num_workers=2, multiprocessing_context=start, timeout=120)
     batches = list(loader)

@@ -14,13 +14,13 @@ def example(name):
 
 
 def test_pytorch_fits_gaussians_by_the_rasterizer():
-    pytest.importorskip("torch")
+    pytest.importorskip("torch", reason="pytorch: not installed")
     losses = example("torch_rasterizer").main(steps=40, count=500, side=48)
     assert losses[-1] < losses[0] / 3
 
 
 def test_tqdm_shows_progress(tmp_path, capsys):
-    pytest.importorskip("tqdm")
+    pytest.importorskip("tqdm", reason="tqdm: not installed")
     result = example("progress").main(tmp_path, scenes=1, frames=8, steps=2)
     assert result["steps"] == 2
     shown = capsys.readouterr().err

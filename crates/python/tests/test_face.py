@@ -11,7 +11,7 @@ def finder():
     try:
         return srflow.FaceFinder()
     except FileNotFoundError:
-        pytest.skip("SRFLOW_FACE_MODELS names no package mediapipe up to 0.10.21, and none is installed")
+        pytest.skip("mediapipe: no package up to 0.10.21 is installed or named by SRFLOW_FACE_MODELS")
 
 
 def head(seed, size=320):

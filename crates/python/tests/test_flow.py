@@ -58,7 +58,7 @@ def test_arrays_of_any_layout_and_kind_are_taken(frames):
 
 
 def test_tensors_of_pytorch_are_taken(frames):
-    torch = pytest.importorskip("torch")
+    torch = pytest.importorskip("torch", reason="pytorch: not installed")
     first, second, _ = frames
     flow = srflow.flow(torch.from_numpy(first), torch.from_numpy(second), "farneback")
     assert np.array_equal(flow, srflow.flow(first, second, "farneback"))
@@ -66,7 +66,7 @@ def test_tensors_of_pytorch_are_taken(frames):
 
 
 def test_farneback_is_that_of_opencv(frames):
-    cv2 = pytest.importorskip("cv2")
+    cv2 = pytest.importorskip("cv2", reason="opencv: not installed")
     first, second, _ = frames
     grey = [cv2.cvtColor(x, cv2.COLOR_RGB2GRAY) for x in (first, second)]
     theirs = cv2.calcOpticalFlowFarneback(*grey, None, 0.5, 6, 13, 10, 5, 1.1, 0)
@@ -152,7 +152,7 @@ except KeyboardInterrupt:
 """
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="sends a signal")
+@pytest.mark.skipif(sys.platform == "win32", reason="signals: Windows has none to send")
 def test_ctrl_c_interrupts_an_estimation():
     process = subprocess.Popen([sys.executable, "-c", INTERRUPTED], stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "begun\n"

@@ -13,7 +13,7 @@ use srflow_splat::Device;
 #[test]
 fn a_dataset_from_a_gpu_is_that_of_the_cpu_within_the_tolerance() {
     let Ok(name) = std::env::var("SRFLOW_TEST_DEVICE") else {
-        eprintln!("skipped: SRFLOW_TEST_DEVICE names no GPU");
+        eprintln!("skipped: gpu: SRFLOW_TEST_DEVICE names no device");
         return;
     };
     let folder = tempfile::tempdir().unwrap();

@@ -348,7 +348,7 @@ fn other_meshes_have_none_of_the_groups_that_need_flames_boundaries() {
 #[test]
 fn groups_are_those_of_vhap() {
     let Some(folder) = std::env::var_os("SRFLOW_VHAP").map(PathBuf::from) else {
-        eprintln!("skipped: the folder of VHAP is not in SRFLOW_VHAP");
+        eprintln!("skipped: vhap: SRFLOW_VHAP names no copy of VHAP");
         return;
     };
     let code = std::fs::read_to_string(folder.join("vhap/model/flame.py")).unwrap();

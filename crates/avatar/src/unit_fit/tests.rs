@@ -183,7 +183,7 @@ fn nearest_points_are_those_of_all_triangles() {
 fn units_are_found_in_ict_facekit() {
     let folder = std::path::Path::new("../../../shared/data/ict-facekit/FaceXModel");
     if !folder.is_dir() {
-        eprintln!("skipped: no ICT-FaceKit at {}", folder.display());
+        eprintln!("skipped: shared-data: no ICT-FaceKit at {}", folder.display());
         return;
     }
     let own = HeadSource::ict(folder).model(1).unwrap();

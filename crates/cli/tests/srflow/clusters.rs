@@ -144,7 +144,7 @@ fn parts_of_scenes_and_of_clips_merge_too() {
         let said = succeeds(&output);
         assert_eq!(said.lines().count(), tree(&data).len() - 1, "{said}");
     } else {
-        println!("skipped: there is no sha256sum here");
+        eprintln!("skipped: sha256sum: not on the PATH");
     }
     let report = json(&check(&["--hashes", "--rerender", "2", "--seed", "3"]));
     assert_eq!(report["hashed_files"], tree(&data).len() - 1);

@@ -112,9 +112,7 @@ fn models() -> Option<PathBuf> {
     };
     let found = named.or_else(installed);
     if found.is_none() {
-        eprintln!(
-            "skipped: SRFLOW_FACE_MODELS names no package mediapipe up to 0.10.21, and none is installed"
-        );
+        eprintln!("skipped: mediapipe: no package up to 0.10.21 is installed or named by SRFLOW_FACE_MODELS");
     }
     found
 }

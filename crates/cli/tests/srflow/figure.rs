@@ -75,7 +75,7 @@ fn rendered_by_poppler(pdf: &Path) {
             assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
             assert!(text.contains("Theirs") && text.contains("radius: 2 px"), "{text}");
         }
-        Err(_) => eprintln!("skipped: it needs pdftotext of poppler-utils"),
+        Err(_) => eprintln!("skipped: poppler: no pdftotext on the PATH"),
     }
 }
 

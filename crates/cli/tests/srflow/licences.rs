@@ -30,7 +30,7 @@ fn accepted(requirement: &LicenseReq) -> bool {
 
 #[test]
 fn every_dependency_has_an_accepted_licence() {
-    let metadata = super::architecture::metadata(&["--locked", "--features", "srflow/vulkan"]);
+    let metadata = super::architecture::metadata(&["--locked", "--features", "srflow-cli/vulkan"]);
     let packages = metadata["packages"].as_array().expect("packages");
     assert!(packages.len() > 300, "the dependencies are listed, not srflow alone");
     let mut refused = Vec::new();

@@ -34,6 +34,9 @@ mod pack;
 mod python_jobs;
 mod ranks;
 mod rasterize;
+// The help lists the devices of a build.
+#[cfg(not(any(feature = "cuda", feature = "vulkan")))]
+mod reference;
 mod render_check;
 mod shapes;
 mod splats;
@@ -41,6 +44,7 @@ mod train;
 mod tree;
 mod videos;
 mod view;
+mod words;
 
 /// The program under test. Read when the tests run: a path fixed at build time would break if the checkout moves.
 fn binary() -> PathBuf {

@@ -33,7 +33,7 @@ fn annotations() -> Option<PathBuf> {
     let here = std::env::current_dir().unwrap();
     let found = here.ancestors().map(|dir| dir.join("shared/data/me-annotations")).find(|dir| dir.is_dir());
     if found.is_none() {
-        eprintln!("skipped: no shared/data/me-annotations above {}", here.display());
+        eprintln!("skipped: shared-data: no shared/data/me-annotations above {}", here.display());
     }
     found
 }

@@ -401,7 +401,7 @@ fn python_and_gnu_tar_agree() {
     fs::create_dir(&unpacked).unwrap();
     let ready = Command::new("tar").arg("--version").output();
     if !ready.is_ok_and(|ready| String::from_utf8_lossy(&ready.stdout).contains("GNU tar")) {
-        eprintln!("skipped: it needs GNU tar");
+        eprintln!("skipped: gnu-tar: tar on the PATH is another one");
         return;
     }
     for name in ["train-000000.tar", "test-000000.tar"] {
@@ -431,7 +431,7 @@ fn python_and_gnu_tar_agree() {
     fs::create_dir(&other).unwrap();
     let output = Command::new(&python).current_dir(&other).args(["-c", script]).arg(&unpacked).output();
     if !output.is_ok_and(|output| output.status.success()) {
-        eprintln!("skipped in part: {python} does not run; name another with SRFLOW_PYTHON");
+        eprintln!("skipped: python: {python} does not run; set SRFLOW_PYTHON");
         return;
     }
     assert_eq!(scores(&format!("wds:{}", other.display()), &["--split", "all"]).len(), expected.len());
@@ -445,7 +445,7 @@ fn other_programs_read_packed_datasets() {
     let ready = Command::new(&python).args(["-c", needed]).output();
     if !ready.is_ok_and(|ready| ready.status.success()) {
         eprintln!(
-            "skipped: {python} with datasets, mlcroissant, numpy, pillow and webdataset does not run; name another with SRFLOW_PYTHON"
+            "skipped: webdataset: {python} lacks datasets, mlcroissant, numpy, pillow or webdataset; set SRFLOW_PYTHON"
         );
         return;
     }

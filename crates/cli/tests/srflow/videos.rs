@@ -16,7 +16,7 @@ fn programs_exist() -> bool {
         !run.is_ok_and(|status| status.success())
     });
     if let Some(program) = missing {
-        eprintln!("skipped: {program} is not on the PATH");
+        eprintln!("skipped: ffmpeg: {program} is not on the PATH");
     }
     missing.is_none()
 }

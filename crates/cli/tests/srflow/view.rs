@@ -75,7 +75,7 @@ fn pages_pass_their_tests_in_a_browser() {
     let ready = Command::new(&python).args(["-c", "import numpy, pytest, playwright"]).output();
     let Some(chromium) = chromium().filter(|_| ready.is_ok_and(|ready| ready.status.success())) else {
         eprintln!(
-            "skipped: it needs Chromium, and a Python with numpy, pytest and playwright: name them with SRFLOW_CHROMIUM and SRFLOW_PYTHON"
+            "skipped: chromium: not found, or {python} lacks numpy, pytest or playwright; set SRFLOW_CHROMIUM and SRFLOW_PYTHON"
         );
         return;
     };

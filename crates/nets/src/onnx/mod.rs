@@ -1,7 +1,7 @@
 //! Networks as files of ONNX, for onnxruntime and other programs: the whole way from two frames to the flow in one graph.
 //!
 //! A network is a function that adds its operators to a [`Graph`], with a line in [`export_of`]. Parameters keep the names of the
-//! reference implementation. `tests/onnx.rs` compares every graph, as onnxruntime runs it, with the network itself.
+//! reference implementation. `tests/nets/onnx.rs` compares every graph, as onnxruntime runs it, with the network itself.
 
 mod graph;
 mod operations;

@@ -47,7 +47,7 @@ operations! {
 #[test]
 fn devices_multiply_16_bits_and_add_up_in_f32() {
     let Some(device) = DEVICE.as_ref() else {
-        eprintln!("skipped: SRFLOW_TEST_DEVICE names no device");
+        eprintln!("skipped: gpu: SRFLOW_TEST_DEVICE names no device");
         return;
     };
     for precision in precisions(device).into_iter().filter(|precision| *precision != Precision::F32) {

@@ -14,7 +14,7 @@ use crate::{Frame, Next, Options};
 fn gpu() -> Option<GpuRasterizer> {
     let gpu = test_device().and_then(|device| device.gpu.map(|gpu| GpuRasterizer::new(&gpu)));
     if gpu.is_none() {
-        eprintln!("skipped: SRFLOW_TEST_DEVICE names no GPU");
+        eprintln!("skipped: gpu: SRFLOW_TEST_DEVICE names no device");
     }
     gpu
 }

@@ -112,7 +112,7 @@ fn derivatives_of_the_builtin_head_are_central_differences() {
 fn derivatives_of_ict_facekit_are_central_differences() {
     let folder = Path::new("../../../shared/data/ict-facekit/FaceXModel");
     if !folder.is_dir() {
-        eprintln!("skipped: no ICT-FaceKit at {}", folder.display());
+        eprintln!("skipped: shared-data: no ICT-FaceKit at {}", folder.display());
         return;
     }
     let avatar = Avatar::ict(folder, 2).expect("an avatar");

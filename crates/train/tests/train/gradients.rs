@@ -136,7 +136,7 @@ fn recomputed_iterations_give_the_same_gradients() {
     }
 }
 
-/// Memory does not matter here: the attention of MemFlow is initialized without effect. `crates/nets/tests/parity.rs` compares
+/// Memory does not matter here: the attention of MemFlow is initialized without effect. `crates/nets/tests/nets/parity.rs` compares
 /// gradients through memory with the reference.
 #[test]
 fn the_loss_of_clips_is_the_mean_of_their_pairs() {

@@ -6,7 +6,7 @@ use srflow_train::schedule::OneCycle;
 const SIZES: [usize; 2] = [7, 40];
 
 fn golden() -> serde_json::Value {
-    serde_json::from_str(include_str!("golden/optimizer.json")).expect("JSON")
+    serde_json::from_str(include_str!("../golden/optimizer.json")).expect("JSON")
 }
 
 fn tensor(size: usize, seed: usize) -> impl Iterator<Item = f32> {

@@ -434,7 +434,7 @@ fn bfloat16_moves_a_trained_flow_little_and_the_same_way_in_a_sequence() {
 #[test]
 fn sixteen_bits_move_a_trained_flow_little_on_a_device() {
     let Ok(name) = std::env::var("SRFLOW_TEST_DEVICE") else {
-        eprintln!("skipped: SRFLOW_TEST_DEVICE names no device");
+        eprintln!("skipped: gpu: SRFLOW_TEST_DEVICE names no device");
         return;
     };
     let device = srflow_ops::device(&name).expect("the device of SRFLOW_TEST_DEVICE");

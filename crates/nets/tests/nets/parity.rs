@@ -5,17 +5,16 @@
 //! table is compared with every file of its name in `tests/golden`, which also stores the settings of the reference.
 //! `SRFLOW_TEST_DEVICE` selects the device (docs/guides/gpu.md), `SRFLOW_TEST_NETWORK` a single network.
 
-mod inputs;
-
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData, s};
-use inputs::{filled, frame};
 use srflow_golden::{Golden, numbers};
 use srflow_nets::{Architecture, Estimate, Facts, Frames, LaplaceMixture, Memory, Network, Request, Start};
 use srflow_nn::{HostGradients, Layout, Segment, parameter_infos, with_batch_statistics};
+
+use crate::inputs::{filled, frame};
 
 /// Stored rows and columns of the flow: every seventh.
 const EVERY: isize = 7;

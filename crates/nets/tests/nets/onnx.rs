@@ -2,8 +2,6 @@
 //!
 //! They need a Python with numpy, onnx and onnxruntime: `python3`, or the one that `SRFLOW_PYTHON` names.
 
-mod inputs;
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::num::NonZeroUsize;
@@ -11,13 +9,14 @@ use std::path::Path;
 use std::process::Command;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use inputs::{filled, frame};
 use srflow_core::{FlowEstimator, FlowField, Image, Size};
 use srflow_golden::{Golden, numbers};
 use srflow_nets::{
     Architecture, Frames, Network, NetworkEstimator, OnnxOptions, Request, Start, load_included,
     save_network_onnx,
 };
+
+use crate::inputs::{filled, frame};
 
 const ITERATIONS: NonZeroUsize = NonZeroUsize::new(2).unwrap();
 /// Pixels, of flow and of uncertainty.
@@ -121,9 +120,7 @@ fn run(cases: &[[String; 3]]) -> Option<String> {
     let python = std::env::var("SRFLOW_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let ready = Command::new(&python).args(["-c", "import numpy, onnx, onnxruntime"]).output();
     if !ready.is_ok_and(|ready| ready.status.success()) {
-        eprintln!(
-            "skipped: {python} with numpy, onnx and onnxruntime does not run; name another with SRFLOW_PYTHON"
-        );
+        eprintln!("skipped: onnx: {python} lacks numpy, onnx or onnxruntime; set SRFLOW_PYTHON");
         return None;
     }
     let ran = Command::new(&python)

@@ -39,7 +39,7 @@ fn predictions(path: &Path) -> Vec<Prediction> {
 fn always_saying_negative_scores_as_in_the_paper() {
     let path = Path::new("../../../shared/data/me-annotations/data_apex.csv");
     if !path.exists() {
-        eprintln!("skipped: no annotations at {}", path.display());
+        eprintln!("skipped: shared-data: no annotations at {}", path.display());
         return;
     }
     let all = predictions(path);

@@ -48,7 +48,7 @@ fn distance(flow: &FlowField, name: &str, step: usize) -> f32 {
 fn real_frame(name: &str) -> Option<Image> {
     let folder = Path::new("../../../shared/data/real-frames");
     if !folder.is_dir() {
-        eprintln!("skipped: no real frames in {}", folder.display());
+        eprintln!("skipped: shared-data: no real frames in {}", folder.display());
         return None;
     }
     Some(read_image(&folder.join(name)).unwrap())

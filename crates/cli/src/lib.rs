@@ -3,11 +3,6 @@
 
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
-/// `println!` for results as text: a closed or full standard output is an error, not a panic.
-macro_rules! say {
-    ($($text:tt)*) => { crate::output::print_line(format_args!($($text)*)) };
-}
-
 /// `eprintln!` for progress, notes and errors: a closed or full standard error is ignored.
 macro_rules! note {
     ($($text:tt)*) => { crate::output::print_note(format_args!($($text)*)) };
@@ -21,10 +16,6 @@ mod progress;
 mod ranks;
 mod run;
 mod usage;
-
-use srflow::{
-    face, machine, methods, networks, posed_head, rendering, scoring, video,
-};
 
 use std::ffi::OsString;
 use std::io::{self, Write};
@@ -108,7 +99,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
             return u8::try_from(error.exit_code()).unwrap_or(WRONG_USAGE);
         }
     };
-    if let Some(threads) = cli.context.threads.or_else(machine::threads_of_job)
+    if let Some(threads) = cli.context.threads.or_else(srflow::threads_of_job)
         && let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()
     {
         return fail(&anyhow::anyhow!("starting {threads} threads: {error}"), &cli.context);

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use srflow_core::resize::{resize_cubic, resize_flow_area};
-use srflow_core::{EstimateError, FlowEstimator, FlowField, Image, Plane, in_stages, named, printable, serialize_as_text};
+use srflow_core::{
+    EstimateError, FlowEstimator, FlowField, Image, Plane, in_stages, named, printable, serialize_as_text,
+};
 use srflow_face::{FaceError, FrameCrop};
 use srflow_files::{FileError, read_image};
 use srflow_read::micro_expression::Clip;
@@ -65,9 +67,7 @@ pub struct ExtractError {
 #[derive(Debug, thiserror::Error)]
 pub enum ExtractProblem {
     /// It has no apex.
-    #[error(
-        "it has no apex frame; spot it (`apex` ratio or strain) or give a list of apex frames"
-    )]
+    #[error("it has no apex frame; spot it (`apex` ratio or strain) or give a list of apex frames")]
     NoApex,
     /// A required frame is missing.
     #[error("frame {0} is missing")]

@@ -12,7 +12,6 @@ use srflow_ops::concatenate;
 use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::correlation::tensor::Correlation;
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{
     Attending, Block, ConvexMask, CrossCovariance, Divided, EncoderConfig, FlowHead, Grids, MotionEncoder,
     Norm, NormKind, SepConvGru, Strips, convex_mask_by, convex_upsample_of_strips, encoder_conv, resize,
@@ -22,10 +21,11 @@ use crate::estimate::{Estimate, Request};
 use crate::facts::{Facts, IterationPresets, Start, ptlflow};
 use crate::features::Features;
 use crate::frames::Frames;
+use crate::memory_need::MemoryNeed;
+use crate::network::{Entry, FlowNetwork};
 use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::pixel_grid;
 use crate::settings::{Allowed, Setting};
-use crate::network::{Entry, FlowNetwork};
 
 /// Side of a pixel of the coarsest level in pixels of the frame.
 const COARSEST_STRIDE: usize = 16;

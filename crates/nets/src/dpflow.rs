@@ -15,7 +15,6 @@ use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::instance_norm::tensor::group_norm;
 use srflow_ops::layer_norm::tensor::layer_norm;
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{
     ConvGru, FlowHead, Grids, Level, MotionEncoder, StageGru, WideConvexMask, resize, resize_flow,
     upsample_by,
@@ -24,9 +23,10 @@ use crate::estimate::{Estimate, LaplaceMixture, Request};
 use crate::facts::{Facts, IterationPresets, Padding, Start, ptlflow};
 use crate::features::Features;
 use crate::frames::{Border, Frames, prepared};
+use crate::memory_need::MemoryNeed;
+use crate::network::{Entry, FlowNetwork};
 use crate::recurrent::{STRIDE, pixel_grid};
 use crate::settings::{Allowed, Setting};
-use crate::network::{Entry, FlowNetwork};
 
 /// Added to the variance by layer norms.
 const EPSILON: f64 = 1e-6;

@@ -11,14 +11,14 @@ use srflow_ops::Activation::{self, Identity, LeakyRelu};
 use srflow_ops::concatenate;
 use srflow_ops::correlation::tensor::Correlation;
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{Grids, resize, resize_flow};
 use crate::estimate::{Estimate, Request};
 use crate::facts::{Facts, Start, ptlflow};
 use crate::features::Features;
 use crate::frames::Frames;
-use crate::recurrent::pixel_grid;
+use crate::memory_need::MemoryNeed;
 use crate::network::{Entry, FlowNetwork};
+use crate::recurrent::pixel_grid;
 
 /// Height and width of frames are resized to multiples of this.
 pub(crate) const MULTIPLE: usize = 64;

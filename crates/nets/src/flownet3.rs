@@ -11,15 +11,15 @@ use srflow_ops::Activation::{Identity, LeakyRelu};
 use srflow_ops::concatenate;
 use srflow_ops::warp::tensor::warp_replicated;
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{Grids, resize, resize_flow_smoothed, resize_smoothed};
 use crate::estimate::{Estimate, Request};
 use crate::facts::Facts;
 use crate::features::Features;
 use crate::flownet::{CORRELATED, Initializers, MULTIPLE, Tower, correlation, padded};
 use crate::frames::Frames;
-use crate::recurrent::pixel_grid;
+use crate::memory_need::MemoryNeed;
 use crate::network::{Entry, FlowNetwork};
+use crate::recurrent::pixel_grid;
 
 /// Subtracted from every channel of the frames.
 const MEAN: f64 = 0.4;

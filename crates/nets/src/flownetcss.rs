@@ -7,12 +7,12 @@ use burn::tensor::{Device, Tensor};
 use srflow_ops::concatenate;
 use srflow_ops::warp::tensor::warp;
 
-use crate::memory_need::MemoryNeed;
 use crate::estimate::{Estimate, Request};
 use crate::facts::{Facts, ptlflow};
 use crate::features::Features;
 use crate::flownet::{FLOW_SCALE, FLOWNETS, FlowNet, Kind, estimate, full_size, prepared, towers};
 use crate::frames::Frames;
+use crate::memory_need::MemoryNeed;
 use crate::network::{Entry, FlowNetwork};
 
 /// Both images, the warped second image, the flow, and the brightness error.

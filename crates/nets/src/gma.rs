@@ -11,9 +11,9 @@ use crate::blocks::{
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
+use crate::network::Entry;
 use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::{self, Encoders, Recurrent, Refined};
-use crate::network::Entry;
 
 pub(crate) const GMA: Entry<Gma> = Entry {
     facts: Facts {

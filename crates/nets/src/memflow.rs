@@ -9,11 +9,11 @@ use srflow_ops::attention::tensor::Attention as AttentionMap;
 use crate::blocks::{Attention, Encoder, attention_map, convex_upsample};
 use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
+use crate::network::Entry;
 use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::{self, Encoders, Recurrent, Refined};
 use crate::settings::{Allowed, Setting};
 use crate::skflow::{SkFlow, UpdateBlock};
-use crate::network::Entry;
 
 pub(crate) const MEMFLOW: Entry<MemFlow> = Entry {
     facts: Facts {

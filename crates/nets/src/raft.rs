@@ -3,15 +3,15 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{
     ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru, convex_mask_by,
     convex_upsample, window_entries,
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
-use crate::recurrent::{self, Encoders, Recurrent, Refined, STRIDE};
+use crate::memory_need::MemoryNeed;
 use crate::network::Entry;
+use crate::recurrent::{self, Encoders, Recurrent, Refined, STRIDE};
 
 /// Channels of the hidden state, and of the context.
 pub(crate) const HIDDEN: usize = 128;

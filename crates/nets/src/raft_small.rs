@@ -4,15 +4,15 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{
     ConvGru, Encoder, EncoderConfig, FlowHead, NormKind, SmallMotionEncoder, bilinear_upsample,
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, ptlflow};
+use crate::memory_need::MemoryNeed;
+use crate::network::Entry;
 use crate::raft::RAFT;
 use crate::recurrent::{Encoders, Recurrent, Refined, STRIDE};
-use crate::network::Entry;
 
 /// Channels of the hidden state.
 pub(crate) const HIDDEN: usize = 96;

@@ -6,14 +6,14 @@ use burn::tensor::{Device, Int, Tensor};
 use srflow_ops::concatenate;
 use srflow_ops::correlation::tensor::Correlation;
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{Encoder, KEPT_BYTES};
 use crate::estimate::{Encoded, Estimate, Memory, Request};
 use crate::facts::{Facts, Start};
 use crate::features::Features;
 use crate::frames::{Border, Frames, prepared};
-use crate::settings::Setting;
+use crate::memory_need::MemoryNeed;
 use crate::network::FlowNetwork;
+use crate::settings::Setting;
 
 /// Side of a coarse pixel in pixels of the frame.
 pub(crate) const STRIDE: usize = 8;

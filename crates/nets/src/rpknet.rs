@@ -14,7 +14,6 @@ use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::instance_norm::tensor::group_norm;
 use srflow_ops::layer_norm::tensor::layer_norm;
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{
     ConvGru, FlowHead, Grids, Level, MotionEncoder, StageGru, WideConvexMask, resize, resize_flow,
     upsample_by,
@@ -23,9 +22,10 @@ use crate::estimate::{Estimate, Request};
 use crate::facts::{Facts, IterationPresets, Start, ptlflow};
 use crate::features::Features;
 use crate::frames::{Border, Frames, prepared};
+use crate::memory_need::MemoryNeed;
+use crate::network::{Entry, FlowNetwork};
 use crate::recurrent::{STRIDE, pixel_grid};
 use crate::settings::{Allowed, Setting};
-use crate::network::{Entry, FlowNetwork};
 
 /// Levels of the pyramid at which flow is refined.
 const LEVELS: usize = 3;

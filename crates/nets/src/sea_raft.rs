@@ -13,15 +13,15 @@ use srflow_ops::concatenate;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{ConvexMask, MotionEncoder, convex_mask, convex_upsample};
 use crate::estimate::{Encoded, Estimate, LaplaceMixture, Request};
 use crate::facts::{Facts, IterationPresets, Start, ptlflow};
 use crate::features::Features;
 use crate::frames::{Border, Frames, prepared};
+use crate::memory_need::MemoryNeed;
+use crate::network::{Entry, FlowNetwork};
 use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::{LEVELS, STRIDE, pixel_grid};
-use crate::network::{Entry, FlowNetwork};
 
 /// Channels of the context, and of the motion features.
 const CONTEXT: usize = HIDDEN;

@@ -14,9 +14,9 @@ use crate::blocks::{
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
+use crate::network::Entry;
 use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::{self, Encoders, Recurrent, Refined};
-use crate::network::Entry;
 
 /// Depthwise kernel sizes of the motion encoder and the flow head.
 const KERNELS: [usize; 2] = [1, 15];

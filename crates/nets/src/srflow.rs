@@ -24,14 +24,14 @@ use srflow_ops::space_to_depth::tensor::space_to_depth;
 use srflow_ops::upsample::tensor::convex_upsample;
 use srflow_ops::warp::tensor::warp_replicated;
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{Grids, resize, resize_flow};
 use crate::estimate::{Estimate, LaplaceMixture, Request};
 use crate::facts::{Facts, IterationPresets, Start};
 use crate::features::Features;
 use crate::frames::{Border, Frames};
-use crate::settings::{Allowed, Setting};
+use crate::memory_need::MemoryNeed;
 use crate::network::{Entry, FlowNetwork};
+use crate::settings::{Allowed, Setting};
 
 /// Pixels of the frame per pixel of the map that is corrected, along each axis: a cell.
 pub(crate) const STRIDE: usize = 2;

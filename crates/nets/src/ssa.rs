@@ -10,13 +10,13 @@ use srflow_nn::layers::{Conv2d, ConvTranspose2d};
 use srflow_ops::Activation::{Identity, LeakyRelu, Relu};
 use srflow_ops::concatenate;
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{Grids, resize, resize_flow};
 use crate::estimate::{Estimate, Request};
 use crate::facts::Facts;
 use crate::features::Features;
 use crate::flownet::{Initializers, MULTIPLE, padded};
 use crate::frames::Frames;
+use crate::memory_need::MemoryNeed;
 use crate::network::{Entry, FlowNetwork};
 
 pub(crate) const SSA: Entry<Ssa> = Entry {

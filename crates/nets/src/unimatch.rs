@@ -20,7 +20,6 @@ use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::pointwise::tensor::pointwise_layers;
 use srflow_ops::warp::tensor::warp;
 
-use crate::memory_need::MemoryNeed;
 use crate::blocks::{
     ConvexMask, Encoder, EncoderConfig, bilinear_upsample, convex_mask_by, unscaled_convex_upsample,
 };
@@ -28,10 +27,11 @@ use crate::estimate::{Estimate, Request};
 use crate::facts::{Facts, IterationPresets, Start, ptlflow};
 use crate::features::Features;
 use crate::frames::{Border, Frames};
+use crate::memory_need::MemoryNeed;
+use crate::network::{Entry, FlowNetwork};
 use crate::raft::{HIDDEN, UpdateBlock};
 use crate::recurrent::pixel_grid;
 use crate::settings::{Allowed, Setting};
-use crate::network::{Entry, FlowNetwork};
 
 /// Channels of the features.
 const CHANNELS: usize = 128;

@@ -21,9 +21,12 @@ pub fn exception(error: impl Into<anyhow::Error>) -> PyErr {
 /// The error, with a wrong setting as a keyword.
 pub fn in_python(error: srflow::Error) -> PyErr {
     match error.setting() {
-        Some(setting) => {
-            PyValueError::new_err(format!("{}={}: expected {}", setting.name(), setting.found, setting.expected))
-        }
+        Some(setting) => PyValueError::new_err(format!(
+            "{}={}: expected {}",
+            setting.name(),
+            setting.found,
+            setting.expected
+        )),
         None => exception(error),
     }
 }

@@ -24,7 +24,8 @@ pub fn run_job<'py>(
     settings: &Bound<'py, PyDict>,
     callback: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
-    let entry = Entry::named(name).ok_or_else(|| PyValueError::new_err(format!("no job is called {name:?}")))?;
+    let entry =
+        Entry::named(name).ok_or_else(|| PyValueError::new_err(format!("no job is called {name:?}")))?;
     let settings = from_python(settings)?;
     check_callback(callback)?;
     let on_event = |progress: Value| match callback {

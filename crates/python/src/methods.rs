@@ -6,10 +6,10 @@ use std::sync::{Arc, Mutex};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use srflow_core::{EstimateError, FlowEstimate, FlowEstimator, Image};
+use srflow::Watch;
 use srflow::flow::MethodSpec;
 use srflow::settings::from_json;
-use srflow::Watch;
+use srflow_core::{EstimateError, FlowEstimate, FlowEstimator, Image};
 use srflow_nets::Architecture;
 
 use crate::arrays;

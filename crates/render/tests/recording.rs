@@ -80,7 +80,17 @@ fn motion_blur_is_centred_at_the_frames_time() {
             motion: MotionSource::Curves,
             ..settings(recording)
         };
-        render(dir, &Settings { frames: 4.0, size: srflow_core::Size { width: 330, height: 480 }, seed: 8, regions: false, ..base }, 2);
+        render(
+            dir,
+            &Settings {
+                frames: 4.0,
+                size: srflow_core::Size { width: 330, height: 480 },
+                seed: 8,
+                regions: false,
+                ..base
+            },
+            2,
+        );
     }
     let mut longest: f64 = 0.0;
     for frame in 1..4 {

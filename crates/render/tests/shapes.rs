@@ -15,7 +15,11 @@ use srflow_render::shapes::{ShapesReport, ShapesSettings, shapes};
 use tree::contents;
 
 fn settings() -> ShapesSettings {
-    ShapesSettings { pairs: 37, size: srflow_core::Size { width: 48, height: 32 }, ..ShapesSettings::default() }
+    ShapesSettings {
+        pairs: 37,
+        size: srflow_core::Size { width: 48, height: 32 },
+        ..ShapesSettings::default()
+    }
 }
 
 fn make(settings: &ShapesSettings, request: Request, threads: usize) -> Result<ShapesReport, RenderError> {
@@ -102,7 +106,16 @@ fn settings_out_of_range_are_refused() {
     let refused =
         |settings: ShapesSettings| make(&settings, Request::new(folder.path()), 1).unwrap_err().to_string();
     assert!(refused(ShapesSettings { pairs: 0, ..settings() }).starts_with("pairs 0"));
-    assert!(refused(ShapesSettings { size: srflow_core::Size { width: 8, ..settings().size }, ..settings() }).starts_with("size 8x32"));
-    assert!(refused(ShapesSettings { motion: srflow_core::Numbers([2.0, 1.0]), ..settings() }).starts_with("motion 2,1"));
-    assert!(refused(ShapesSettings { motion: srflow_core::Numbers([f32::NAN, 1.0]), ..settings() }).starts_with("motion NaN"));
+    assert!(
+        refused(ShapesSettings { size: srflow_core::Size { width: 8, ..settings().size }, ..settings() })
+            .starts_with("size 8x32")
+    );
+    assert!(
+        refused(ShapesSettings { motion: srflow_core::Numbers([2.0, 1.0]), ..settings() })
+            .starts_with("motion 2,1")
+    );
+    assert!(
+        refused(ShapesSettings { motion: srflow_core::Numbers([f32::NAN, 1.0]), ..settings() })
+            .starts_with("motion NaN")
+    );
 }

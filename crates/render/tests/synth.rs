@@ -16,13 +16,7 @@ use tree::contents;
 
 /// Small and short: the heads take longer than the frames.
 fn settings() -> SynthSettings {
-    SynthSettings {
-        subjects: 1,
-        clips: 3,
-        side: 64,
-        fps: 25.0,
-        ..SynthSettings::default()
-    }
+    SynthSettings { subjects: 1, clips: 3, side: 64, fps: 25.0, ..SynthSettings::default() }
 }
 
 fn make(settings: &SynthSettings, dir: &Path, threads: usize) -> Result<u64, RenderError> {

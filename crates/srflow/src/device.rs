@@ -15,7 +15,7 @@ use srflow_splat::{Camera, Device, DeviceRasterizer, Frame, Gaussians, Next, Opt
 
 use crate::clap::Args;
 use crate::error::wrong_settings;
-use crate::networks::{PrecisionArg, device_help};
+use crate::networks::PrecisionArg;
 use crate::{Job, Report, Watch};
 
 /// List the devices of this machine
@@ -62,7 +62,7 @@ pub struct TimeRasterizerJob {
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Timing {
-    #[arg(long, value_name = "DEVICE", default_value_t = Self::default().device, value_parser = known, help = device_help())]
+    #[arg(long, value_name = "DEVICE", default_value_t = Self::default().device, value_parser = known, help = crate::networks::device_help())]
     pub device: String,
     /// Size of the frames, WIDTHxHEIGHT
     #[arg(long, value_name = "SIZE", default_value_t = Self::default().size)]

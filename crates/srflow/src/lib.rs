@@ -30,53 +30,40 @@ pub mod device;
 #[doc(hidden)]
 pub mod error;
 pub mod eval;
-#[doc(hidden)]
 pub mod face;
 pub mod figure;
 pub mod flow;
-#[doc(hidden)]
-pub mod head_page;
+mod head_page;
 mod job;
-#[doc(hidden)]
-pub mod job_engine;
-#[doc(hidden)]
+mod job_engine;
 pub mod large_frames;
-#[doc(hidden)]
-pub mod machine;
-#[doc(hidden)]
-pub mod made;
+mod machine;
+mod made;
 pub mod mer;
 pub mod merge;
-#[doc(hidden)]
 pub mod methods;
 pub mod metrics;
 pub mod models;
-#[doc(hidden)]
 pub mod networks;
-#[doc(hidden)]
-pub mod opening;
-#[doc(hidden)]
-pub mod output;
+mod opening;
+mod output;
 pub mod pack;
-#[doc(hidden)]
 pub mod posed_head;
 pub mod rasterize;
 pub mod render;
-#[doc(hidden)]
 pub mod rendering;
-#[doc(hidden)]
-pub mod scoring;
+mod scoring;
 pub mod settings;
 pub mod shapes;
 mod table;
 pub mod train;
-#[doc(hidden)]
-pub mod video;
+mod video;
 pub mod view;
 mod watch;
 
 pub use error::{Error, ErrorKind};
 pub use job::{Job, Report, WhenStopped};
+pub use machine::threads_of_job;
 pub use table::{Done, Entry, JOBS};
 pub use watch::{Progress, Watch};
 

@@ -51,4 +51,3 @@ fn is_cause<T: DeserializeOwned>(given: &Map<String, Value>, name: &str, error: 
     others.remove(name);
     read::<T>(&others).err().is_none_or(|other| other != error)
 }
-

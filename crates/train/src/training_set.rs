@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::augment::{AugmentError, Augmentation};
 use srflow_core::Size;
 use srflow_core::random::Key;
-use crate::augment::{AugmentError, Augmentation};
 use srflow_read::flow::{
     DatasetError, DatasetSpec, Entry, FlowDataset, MadeError, MadePairs, Sample, Split, TruthDensity,
 };

@@ -116,10 +116,10 @@ fn kind(argument: &Arg) -> String {
         (value_parser!(u16).into(), "int"),
         (value_parser!(u32).into(), "int"),
         (value_parser!(u64).into(), "int"),
-        (value_parser!(usize), "int"),
-        (value_parser!(f32), "float"),
-        (value_parser!(f64), "float"),
-        (value_parser!(PathBuf), "Path"),
+        (value_parser!(usize).into(), "int"),
+        (value_parser!(f32).into(), "float"),
+        (value_parser!(f64).into(), "float"),
+        (value_parser!(PathBuf).into(), "Path"),
     ];
     let own = argument.get_value_parser().type_id();
     let known = parsers.iter().find(|(parser, _)| parser.type_id() == own).map(|(_, kind)| *kind);

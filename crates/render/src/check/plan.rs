@@ -166,8 +166,14 @@ mod tests {
 
     fn manifest() -> Manifest {
         let (splits, seed) = ([0.6, 0.2, 0.2], 3);
-        let settings =
-            Settings { scenes: 5, frames: 7.4, size: srflow_core::Size { width: 110, height: 160 }, splits: srflow_core::Numbers(splits), seed, ..Settings::default() };
+        let settings = Settings {
+            scenes: 5,
+            frames: 7.4,
+            size: srflow_core::Size { width: 110, height: 160 },
+            splits: srflow_core::Numbers(splits),
+            seed,
+            ..Settings::default()
+        };
         settings.plan().unwrap()
     }
 
@@ -207,12 +213,22 @@ mod tests {
         assert!(said(|manifest| manifest.rig[3].camera.fx = -1.0).contains("camera 4: fx -1.0, expected"));
         assert!(said(|manifest| manifest.rig.clear()).contains("its rig has 0 cameras, expected 16"));
         for (change, named) in [
-            ((|manifest| _ = manifest.arguments.others.insert("scenes".into(), 0.into())) as fn(&mut Manifest), "scenes 0"),
+            (
+                (|manifest| _ = manifest.arguments.others.insert("scenes".into(), 0.into()))
+                    as fn(&mut Manifest),
+                "scenes 0",
+            ),
             (|manifest| _ = manifest.arguments.others.insert("frames".into(), (-1.0).into()), "frames -1"),
-            (|manifest| _ = manifest.arguments.others.insert("splits".into(), vec![1.0; 3].into()), "splits 1,1,1"),
+            (
+                |manifest| _ = manifest.arguments.others.insert("splits".into(), vec![1.0; 3].into()),
+                "splits 1,1,1",
+            ),
             (|manifest| manifest.arguments.width = usize::MAX, "size"),
             (|manifest| _ = manifest.arguments.others.insert("head".into(), "flame".into()), "head `flame`"),
-            (|manifest| _ = manifest.arguments.others.insert("background".into(), "sky".into()), "background `sky`"),
+            (
+                |manifest| _ = manifest.arguments.others.insert("background".into(), "sky".into()),
+                "background `sky`",
+            ),
         ] {
             assert!(said(change).contains(named), "{named}");
         }

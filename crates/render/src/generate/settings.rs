@@ -298,10 +298,8 @@ impl Settings {
         if let Some(settings) = settings.as_object_mut() {
             settings.retain(|name, _| !off.contains(&(name, true)));
         }
-        Arguments::of_settings(settings, self.size).map_err(|error| RenderError::Malformed {
-            path: MANIFEST_NAME.into(),
-            reason: error.to_string(),
-        })
+        Arguments::of_settings(settings, self.size)
+            .map_err(|error| RenderError::Malformed { path: MANIFEST_NAME.into(), reason: error.to_string() })
     }
 }
 
@@ -325,7 +323,8 @@ pub fn with_flat_recording(mut settings: Value) -> Result<Value, String> {
     if let Some(all) = settings.as_object_mut()
         && let Some(group) = all.remove(RECORDING)
     {
-        let recording: Recording = serde_json::from_value(group).map_err(|error| format!("{RECORDING}: {error}"))?;
+        let recording: Recording =
+            serde_json::from_value(group).map_err(|error| format!("{RECORDING}: {error}"))?;
         if let Value::Object(effects) = serde_json::json!(recording) {
             all.extend(effects);
         }

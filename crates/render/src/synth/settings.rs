@@ -160,7 +160,8 @@ mod tests {
     #[test]
     fn classes_are_even_and_names_are_unique() {
         for clips_per_subject in [1, 2, 3, 4, 7] {
-            let settings = SynthSettings { subjects: 6, clips: clips_per_subject, ..SynthSettings::default() };
+            let settings =
+                SynthSettings { subjects: 6, clips: clips_per_subject, ..SynthSettings::default() };
             let plan = settings.plan().unwrap();
             let count = |class| plan.iter().filter(|clip| clip.class == class).count() as u32;
             for class in EmotionClass::ALL {

@@ -20,7 +20,6 @@ use super::scores::mesh_table;
 use crate::clap::Args;
 use crate::error::wrong_settings;
 use crate::output::{ensure_folder, ensure_free, write_tables};
-use crate::render::head_help;
 use crate::{Job, Report, Watch};
 
 /// Fit a head model to the landmarks of a capture
@@ -37,7 +36,7 @@ pub struct FitJob {
     #[arg(value_name = "DATA")]
     pub data: PathBuf,
     /// Head model
-    #[arg(long, value_name = "HEAD", help = head_help())]
+    #[arg(long, value_name = "HEAD", help = crate::render::head_help())]
     pub model: HeadSource,
     /// Folder to write
     #[arg(short, long, value_name = "DIR")]

@@ -11,7 +11,6 @@ use crate::clap::Args;
 use crate::error::wrong_settings;
 use crate::output::ensure_free;
 use crate::posed_head::ActionUnits;
-use crate::render::head_help;
 use crate::{Job, Report, Watch};
 
 /// Write the mesh of a head model in some shape and pose
@@ -29,7 +28,7 @@ use crate::{Job, Report, Watch};
   srflow avatar mesh --model gnm:gnm_head.npz --params smile.json -o smile.glb")]
 pub struct MeshJob {
     /// Head model
-    #[arg(long, value_name = "KIND:PATH", help = head_help())]
+    #[arg(long, value_name = "KIND:PATH", help = crate::render::head_help())]
     pub model: HeadSource,
     /// Parameters, .npz or .json [default: the head at rest]
     #[arg(long, value_name = "FILE")]

@@ -11,7 +11,6 @@ use srflow_eval::{Column, Row, Table};
 use super::mesh::default_seed;
 use crate::clap::Args;
 use crate::output::{ensure_extension, ensure_free, write_tables};
-use crate::render::head_help;
 use crate::{Job, Report, Watch};
 
 /// Show how well a head model does each action unit, and write its table of units
@@ -26,7 +25,7 @@ use crate::{Job, Report, Watch};
   srflow avatar units --model gnm:gnm_head.npz -o action_units.json")]
 pub struct UnitsJob {
     /// Head model
-    #[arg(long, value_name = "KIND:PATH", help = head_help())]
+    #[arg(long, value_name = "KIND:PATH", help = crate::render::head_help())]
     pub model: HeadSource,
     /// Seed of a built-in head
     #[arg(long, value_name = "N", default_value_t = default_seed())]

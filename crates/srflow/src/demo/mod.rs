@@ -25,7 +25,6 @@ use crate::head_page::head_page;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::output::{ensure_folder, ensure_free};
 use crate::posed_head::MovingHead;
-use crate::render::head_help;
 use crate::{Job, Report, Watch, machine, scoring};
 use stage::{StageTime, Stages};
 
@@ -43,7 +42,7 @@ pub struct DemoJob {
     #[arg(long, value_name = "DIR", default_value_os_t = Self::default().out)]
     pub out: PathBuf,
     /// Head model
-    #[arg(long, value_name = "HEAD", default_value_t = Self::default().head, help = head_help())]
+    #[arg(long, value_name = "HEAD", default_value_t = Self::default().head, help = crate::render::head_help())]
     pub head: HeadSource,
     /// Random seed; another seed gives other heads
     #[arg(long, value_name = "N", default_value_t = Self::default().seed)]

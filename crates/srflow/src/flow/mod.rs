@@ -23,7 +23,7 @@ use self::extra::ExtraOutput;
 use self::frames::{Frame, Source};
 use self::outputs::Outputs;
 use crate::clap::Args;
-use crate::convert::{ensure_positive, positive};
+use crate::convert::ensure_positive;
 use crate::error::wrong_settings;
 use crate::face::{FaceArgs, FoundFace};
 use crate::large_frames::Resolution;
@@ -95,7 +95,7 @@ pub struct FlowJob {
     pub occlusion: Option<PathBuf>,
     /// Length in pixels of the flow with full colour, and the uncertainty with the brightest [default: the
     /// largest of each pair]
-    #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = positive)]
+    #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = crate::convert::positive)]
     #[serde(default)]
     pub viz_max: Option<f32>,
     /// Start from this flow (for two frames)

@@ -18,10 +18,10 @@ use srflow_core::{FlowField, Mask, SizeMismatch};
 
 pub use config::AugmentConfig;
 
-use srflow_read::flow::{Sample, TruthDensity};
 use color::ColorJitter;
 use geometry::Geometry;
 use hue::HueTables;
+use srflow_read::flow::{Sample, TruthDensity};
 
 /// Errors of augmentation.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

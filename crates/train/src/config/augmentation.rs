@@ -1,6 +1,6 @@
+use crate::augment::AugmentConfig;
 use serde::{Deserialize, Serialize};
 use srflow_core::Size;
-use crate::augment::AugmentConfig;
 use srflow_read::flow::TruthDensity;
 
 /// Random augmentation of the training samples. Probabilities are in `0..=1`.

@@ -4,8 +4,8 @@ use proptest::prelude::*;
 use rayon::prelude::*;
 use srflow_core::random::Key;
 use srflow_core::{FlowField, Image, Mask, warp};
-use srflow_train::augment::{AugmentConfig, Augmentation};
 use srflow_read::flow::{Sample, TruthDensity};
+use srflow_train::augment::{AugmentConfig, Augmentation};
 
 /// Smooth everywhere, so that interpolation changes it little.
 fn texture([x, y]: [f32; 2]) -> [u8; 3] {

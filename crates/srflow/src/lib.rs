@@ -17,7 +17,8 @@
 //! options of the command `srflow`.
 //!
 //! For work in memory, [`flow::estimator`] opens a method with its settings, and the building blocks of the jobs are
-//! re-exported: fields and images ([`core`]), their files ([`files`]), the rasterizer ([`splat`]), classical methods ([`classical`]) and networks ([`nets`]).
+//! re-exported: fields and images ([`core`]), their files ([`files`]), the rasterizer ([`splat`]), classical methods
+//! ([`classical`]) and networks ([`nets`]).
 #![cfg_attr(not(feature = "clap"), allow(dead_code, reason = "parsers of arguments"))]
 
 pub mod ablation;

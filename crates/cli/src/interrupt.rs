@@ -7,8 +7,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use indicatif::ProgressBar;
-
 use crate::STOPPED;
 
 /// How long work may take to end in order, so that all is over within a second.
@@ -29,19 +27,6 @@ struct Work {
 pub struct Continuable(());
 
 impl Continuable {
-    /// Work that may be dropped; the bar shows how many of its `units` are done.
-    pub fn counted(bar: &ProgressBar, units: &str) -> Self {
-        let (bar, units) = (bar.clone(), units.to_owned());
-        Self::of(true, move || match bar.length() {
-            Some(0) => format!("no {units} were begun"),
-            Some(all) if all == bar.position() => {
-                format!("all {all} {units} are complete, the files of the whole are not")
-            }
-            Some(all) => format!("{} of {all} {units} are left", all.saturating_sub(bar.position())),
-            None => format!("{} {units} are done", bar.position()),
-        })
-    }
-
     /// Work that may be dropped; `left` says what is left of it.
     pub fn dropping(left: impl Fn() -> String + Send + 'static) -> Self {
         Self::of(true, left)

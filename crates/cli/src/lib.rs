@@ -22,9 +22,7 @@ mod ranks;
 mod run;
 mod usage;
 
-use srflow::{
-    face, machine, methods, networks, posed_head, rendering, scoring, video,
-};
+use srflow::{machine, posed_head, video};
 
 use std::ffi::OsString;
 use std::io::{self, Write};

@@ -3,11 +3,6 @@
 
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
-/// `println!` for results as text: a closed or full standard output is an error, not a panic.
-macro_rules! say {
-    ($($text:tt)*) => { crate::output::print_line(format_args!($($text)*)) };
-}
-
 /// `eprintln!` for progress, notes and errors: a closed or full standard error is ignored.
 macro_rules! note {
     ($($text:tt)*) => { crate::output::print_note(format_args!($($text)*)) };
@@ -22,7 +17,7 @@ mod ranks;
 mod run;
 mod usage;
 
-use srflow::{machine, posed_head, video};
+use srflow::machine;
 
 use std::ffi::OsString;
 use std::io::{self, Write};

@@ -1,5 +1,4 @@
-//! Output shared by all commands: nothing is overwritten without `--force`, text files are written whole or not at all, and
-//! tables look alike.
+//! Output shared by all commands: reports on standard output, notes on standard error.
 
 use std::fmt;
 use std::io::{self, IsTerminal, Write};
@@ -8,28 +7,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::Context as _;
 use serde::Serialize;
 use srflow_core::{is_unprintable, printable};
-use srflow_eval::{Table, TextStyle, joined};
-
-pub use srflow::output::{ensure_extension, ensure_folder, ensure_free};
 
 /// Whether standard output shows colours: it is a terminal and `NO_COLOR` is unset (<https://no-color.org>).
 pub fn is_coloured() -> bool {
     io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none()
 }
 
-/// Prints tables, in colours if standard output is a terminal and `NO_COLOR` is unset (<https://no-color.org>).
-pub fn print_tables(tables: &[Table]) -> anyhow::Result<()> {
-    let style = if is_coloured() { TextStyle::Ansi } else { TextStyle::Plain };
-    let text = joined(tables, |table| table.text(style));
-    writeln!(io::stdout(), "{}", text.trim_end()).context(PRINTING)
-}
-
 const PRINTING: &str = "printing the result";
-
-/// Prints a line to standard output; see `say!`. Control characters are escaped, since the text may come from files.
-pub fn print_line(text: fmt::Arguments) -> anyhow::Result<()> {
-    writeln!(io::stdout(), "{}", printable(&text.to_string())).context(PRINTING)
-}
 
 /// Prints a line to standard error; see `note!`. Errors are ignored: there is nowhere to report them.
 pub fn print_note(text: fmt::Arguments) {

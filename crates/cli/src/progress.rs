@@ -13,6 +13,8 @@ pub fn bar(steps: impl Into<Option<u64>>, template: &str) -> ProgressBar {
 
 /// Time between two lines in the logs of job engines.
 const LOGGED_APART: Duration = Duration::from_secs(60);
+/// Time between two lines of training.
+const LINES_APART: Duration = Duration::from_secs(30);
 
 /// Time between two lines of a training.
 const LINES_APART: Duration = Duration::from_secs(30);

@@ -14,7 +14,7 @@ use crate::video::is_video;
 /// Fails on the first of these files that exists, unless `force` allows to overwrite it.
 pub fn ensure_free(files: impl IntoIterator<Item: Into<PathBuf>>, force: bool) -> anyhow::Result<()> {
     match files.into_iter().map(Into::into).find(|file| !force && file.exists()) {
-        Some(file) => bail!("{} exists; set `force` to overwrite it, or another name", file.display()),
+        Some(file) => bail!("{} exists; give `force` to overwrite it, or another name", file.display()),
         None => Ok(()),
     }
 }

@@ -4,8 +4,8 @@ use serde_json::{Map, Value};
 
 use crate::settings::from_json;
 use crate::{
-    Error, Job, Watch, ablation, avatar, check, convert, demo, device, eval, figure, flow, mer, merge, metrics, models, pack, render,
-    shapes, train,
+    Error, Job, Watch, ablation, avatar, check, convert, demo, device, eval, figure, flow, mer, merge,
+    metrics, models, pack, rasterize, render, shapes, train,
 };
 
 /// A job that is known by its name.
@@ -46,6 +46,7 @@ jobs![
     flow::FlowJob,
     metrics::MetricsJob,
     convert::ConvertJob,
+    rasterize::RasterizeJob,
     models::ModelsJob,
     models::InspectJob,
     models::ExportJob,
@@ -60,6 +61,13 @@ jobs![
     eval::EvalJob,
     figure::FigureJob,
     avatar::capture::CaptureJob,
+    avatar::import::ImportJob,
+    avatar::fit::FitJob,
+    avatar::train::TrainJob,
+    avatar::eval::EvalJob,
+    avatar::mesh::MeshJob,
+    avatar::units::UnitsJob,
+    avatar::export::ExportJob,
     mer::data::DataJob,
     mer::synth::SynthJob,
     mer::apex::ApexJob,

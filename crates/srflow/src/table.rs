@@ -46,6 +46,7 @@ jobs![
     flow::FlowJob,
     metrics::MetricsJob,
     convert::ConvertJob,
+    rasterize::RasterizeJob,
     models::ModelsJob,
     models::InspectJob,
     models::ExportJob,

@@ -20,14 +20,25 @@ pub fn print_note(text: fmt::Arguments) {
     _ = writeln!(io::stderr(), "{}", printable(&text.to_string()));
 }
 
-/// Prints the text of a report, which ends its lines itself. Control characters are escaped except for line ends and colours.
+/// Prints the text of a report. Control characters are escaped except for line ends and colours, since the text may come from files.
 pub fn print_text(text: &str) -> anyhow::Result<()> {
-    let safe = text
-        .split('\n')
-        .map(|line| if is_coloured() { line.to_owned() } else { printable(line).to_string() });
-    let safe = safe.collect::<Vec<_>>().join("\n");
-    write!(io::stdout(), "{}{}", safe.trim_end(), if safe.trim_end().is_empty() { "" } else { "\n" })
-        .context(PRINTING)
+    let lines: Vec<String> = text.trim_end().split('\n').map(safe_line).collect();
+    writeln!(io::stdout(), "{}", lines.join("\n")).context(PRINTING)
+}
+
+/// A line with its colours, which are `ESC [ numbers m`.
+fn safe_line(line: &str) -> String {
+    let mut pieces = line.split("\u{1b}[");
+    let mut safe = printable(pieces.next().unwrap_or_default()).to_string();
+    for piece in pieces {
+        match piece.split_once('m') {
+            Some((numbers, rest)) if numbers.chars().all(|c| c.is_ascii_digit() || c == ';') => {
+                safe += &format!("\u{1b}[{numbers}m{}", printable(rest));
+            }
+            _ => safe += &printable(&format!("\u{1b}[{piece}")).to_string(),
+        }
+    }
+    safe
 }
 
 /// Whether a result was printed as JSON: there is only one.
@@ -70,5 +81,17 @@ pub fn exit_stopped() -> anyhow::Result<()> {
 pub fn print_error_json(error: &str) {
     if !JSON_PRINTED.load(Ordering::Relaxed) {
         _ = print_json_line(&serde_json::json!({ "error": error }));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_are_kept_and_other_control_characters_escaped() {
+        assert_eq!(safe_line("\u{1b}[1;32mgood\u{1b}[0m"), "\u{1b}[1;32mgood\u{1b}[0m");
+        let hostile = safe_line("a\u{1b}[2Jb\u{1b}]0;title\u{7}");
+        assert!(!hostile.contains(['\u{1b}', '\u{7}']), "{hostile:?}");
     }
 }

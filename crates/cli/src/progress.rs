@@ -16,9 +16,6 @@ const LOGGED_APART: Duration = Duration::from_secs(60);
 /// Time between two lines of training.
 const LINES_APART: Duration = Duration::from_secs(30);
 
-/// Time between two lines of a training.
-const LINES_APART: Duration = Duration::from_secs(30);
-
 /// Lines about work whose bar nobody sees, since standard error is no terminal: for the logs of job engines.
 pub struct Lines {
     began: Instant,

@@ -31,7 +31,7 @@ pub(crate) fn check_size(
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
     /// A setting is out of range.
-    #[error(transparent)]
+    #[error("{0}")]
     Setting(#[from] SettingError),
     /// The file or folder of a setting cannot be read.
     #[error("{field} {}: {error}; expected {expected}", .path.display())]

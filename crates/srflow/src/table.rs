@@ -69,7 +69,6 @@ jobs![
     avatar::mesh::MeshJob,
     avatar::export::ExportJob,
     avatar::units::UnitsJob,
-    rasterize::RasterizeJob,
     mer::data::DataJob,
     mer::synth::SynthJob,
     mer::apex::ApexJob,

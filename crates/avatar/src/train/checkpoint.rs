@@ -87,13 +87,13 @@ impl Checkpoint {
         })?;
         if let Some((key, before, now)) = changed(String::new(), &in_json(&of_config), &in_json(config)) {
             let expected = format!("the one of the checkpoint, in which {key} is {before}");
-            let found = format!("{now}; go on with the same configuration, or begin anew in another folder");
+            let found = format!("{now}; go on with the same configuration, or start again in another folder");
             return Err(FileProblem::field("configuration", expected, found).in_file(path));
         }
         if of_capture != fingerprint {
             let found = format!(
                 "one with the fingerprint {fingerprint}; its pictures, cameras or parameters of the head have changed. Go on \
-                 with the same files, or begin anew in another folder"
+                 with the same files, or start again in another folder"
             );
             let expected = format!("the capture with the fingerprint {}", excerpt(of_capture));
             return Err(FileProblem::field("capture", expected, found).in_file(path));

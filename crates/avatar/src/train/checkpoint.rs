@@ -68,11 +68,17 @@ pub(super) struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// Opens the checkpoint of a training with this configuration, on the capture of this fingerprint.
+    /// Opens the checkpoint of a training with this configuration, on the capture of this fingerprint, or of the `older` one that
+    /// checkpoints had before.
     ///
     /// # Errors
     /// When it cannot be read, is damaged, or is that of another training.
-    pub fn open(path: &Path, config: &TrainConfig, fingerprint: &str) -> Result<Self, FileError> {
+    pub fn open(
+        path: &Path,
+        config: &TrainConfig,
+        fingerprint: &str,
+        older: impl FnOnce() -> String,
+    ) -> Result<Self, FileError> {
         let mut npz = Npz::open(path)?;
         let texts = npz.texts(TRAINING)?;
         let [of_config, of_capture] = &texts[..] else {
@@ -90,7 +96,7 @@ impl Checkpoint {
             let found = format!("{now}; go on with the same configuration, or start again in another folder");
             return Err(FileProblem::field("configuration", expected, found).in_file(path));
         }
-        if of_capture != fingerprint {
+        if of_capture != fingerprint && *of_capture != older() {
             let found = format!(
                 "one with the fingerprint {fingerprint}; its pictures, cameras or parameters of the head have changed. Go on \
                  with the same files, or start again in another folder"

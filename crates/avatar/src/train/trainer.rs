@@ -6,7 +6,7 @@ use srflow_core::Image;
 use srflow_core::random::Key;
 use srflow_files::{FileError, FileProblem};
 use srflow_splat::{
-    Frame, FrameGradients, GaussianGradients, Gaussians, Options, RasterizeError, Rasterizer,
+    Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Options, RasterizeError, Rasterizer,
 };
 
 use super::checkpoint::{self, Checkpoint};
@@ -19,8 +19,8 @@ use super::{
 };
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
 use crate::{
-    Avatar, AvatarError, BoundGradients, HeadGradient, HeadModel, HeadParameters, HeadPose, PosedHead,
-    TriangleFrame,
+    Avatar, AvatarError, BoundGradients, HeadGradient, HeadModel, HeadParameters, HeadPose, PoseParameters,
+    PosedHead, TriangleFrame,
 };
 
 /// Why an avatar could not be trained or scored.
@@ -157,7 +157,8 @@ impl Trainer {
         path: &Path,
     ) -> Result<Self, TrainError> {
         let mut trainer = Self::new(capture, model, config)?;
-        let mut checkpoint = Checkpoint::open(path, &trainer.config, &trainer.fingerprint)?;
+        let older = || older_fingerprint(trainer.capture.views(), &trainer.parameters);
+        let mut checkpoint = Checkpoint::open(path, &trainer.config, &trainer.fingerprint, older)?;
         let mut bound = checkpoint.gaussians(trainer.units_at_rest.len())?;
         bound.local_mut().antialiased = trainer.config.antialiased;
         trainer.adam = GaussianAdam::load(bound.local(), &mut checkpoint)?;
@@ -412,8 +413,34 @@ impl Trainer {
     }
 }
 
-/// Names what a training learns from, except for the pixels: cameras, splits, names of files, and the parameters of the head.
+/// Names what a training learns from, except for the pixels: cameras, splits, names of files, and the parameters of the head. A version,
+/// and the hash of their values as JSON; names of fields do not matter.
 fn fingerprint(views: &[CaptureView], parameters: &HeadParameters) -> String {
+    let mut hasher = crc32fast::Hasher::new();
+    let mut add = |json: serde_json::Result<String>| {
+        hasher.update(json.expect("numbers and text").as_bytes());
+        hasher.update(b"\n");
+    };
+    for CaptureView { split, timestep, camera_index, camera, image, mask, parameters } in views {
+        let Camera { width, height, fx, fy, cx, cy, camera_from_world } = camera;
+        let text = |path: &Path| path.to_string_lossy().into_owned();
+        let files = (text(image), mask.as_deref().map(text), parameters.as_deref().map(text));
+        let camera = (width, height, [fx, fy, cx, cy], camera_from_world.to_cols_array());
+        add(serde_json::to_string(&(split.name(), timestep, camera_index, camera, files)));
+    }
+    let HeadParameters { shape, static_offset, poses } = parameters;
+    add(serde_json::to_string(&(shape, static_offset)));
+    for pose in poses {
+        let PoseParameters { expr, rotation, neck, jaw, eyes, other_joints, translation, dynamic_offset } =
+            pose;
+        let joints = (rotation, neck, jaw, eyes, other_joints);
+        add(serde_json::to_string(&(expr, joints, translation, dynamic_offset)));
+    }
+    format!("2:{:08x}", hasher.finalize())
+}
+
+/// The same in checkpoints that were written before [`fingerprint`] had a version.
+fn older_fingerprint(views: &[CaptureView], parameters: &HeadParameters) -> String {
     let mut hasher = crc32fast::Hasher::new();
     for view in views {
         hasher.update(format!("{view:?}\n").as_bytes());
@@ -452,4 +479,29 @@ pub(super) fn picture(
             std::array::from_fn(|i| kept(alpha) * pixel[i] + (1.0 - alpha) * (background[i] - behind[i]));
     }
     Ok((picture, background))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fingerprints_have_a_version_and_change_with_the_parameters() {
+        let view = CaptureView {
+            split: CaptureSplit::Train,
+            timestep: 1,
+            camera_index: 8,
+            camera: Camera::centred((4, 6), [1.5, 2.5]),
+            image: "images/a.png".into(),
+            mask: None,
+            parameters: Some("a.npz".into()),
+        };
+        let pose = PoseParameters { expr: vec![0.1], ..PoseParameters::default() };
+        let parameters = HeadParameters { shape: vec![0.5], static_offset: Vec::new(), poses: vec![pose] };
+        let views = [view];
+        let rest = HeadParameters::default();
+        assert!(fingerprint(&views, &parameters).starts_with("2:"));
+        assert_ne!(fingerprint(&views, &parameters), fingerprint(&views, &rest));
+        assert_ne!(older_fingerprint(&views, &parameters), older_fingerprint(&views, &rest));
+    }
 }

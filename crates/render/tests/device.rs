@@ -1,4 +1,4 @@
-//! A dataset that was rasterized on a GPU is that of the CPU within the tolerance that docs/dataset.md states. `SRFLOW_TEST_DEVICE` names the
+//! A dataset that was rasterized on a GPU is that of the CPU within the tolerance that docs/reference/dataset-format.md states. `SRFLOW_TEST_DEVICE` names the
 //! GPU; see docs/guides/gpu.md.
 
 mod tiny;

@@ -23,7 +23,7 @@ use crate::{Job, Report, Watch};
 ///
 /// 3D Gaussians: both formats from the extension: .ply, .splat, .spz or .glb. What is upright in IN is
 /// upright in OUT: between formats with another direction of up they are turned by 180 degrees about the x
-/// axis. docs/rasterize.md lists what each format keeps. `srflow avatar export` writes the Gaussians of a
+/// axis. docs/guides/rasterize.md lists what each format keeps. `srflow avatar export` writes the Gaussians of a
 /// head.
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "Examples:

@@ -48,7 +48,7 @@ Examples:
   srflow figure --dataset sintel-clean:DIR --method Theirs:files:out skflow=things.ckpt --samples alley_1/frame_0001 -o fig.pdf fig.svg
   srflow figure --frames a.png b.png --flow Ours=a.flo Theirs=b.flo --truth t.flo --crop 40,60,200x150 --width 8.6cm -o fig.svg
 
-In LaTeX: \\includegraphics{fig.pdf}, at the width of --width. docs/figures.md shows an example.")]
+In LaTeX: \\includegraphics{fig.pdf}, at the width of --width. docs/guides/figures.md shows an example.")]
 pub struct FigureJob {
     /// Figures to write, as .pdf or .svg
     #[arg(short, long, value_name = "FILE", num_args = 1.., required_unless_present = "panels")]

@@ -24,7 +24,7 @@ Examples:
   srflow eval --dataset wds:packed --method farneback
   srflow eval --dataset wds:https://HOST/FOLDER --method farneback
 
-Running the same command again continues a stopped run: complete tars are kept. docs/publishing.md describes the files, how to \
+Running the same command again continues a stopped run: complete tars are kept. docs/guides/publish.md describes the files, how to \
 upload them, and how other programs read them.")]
 pub struct PackJob {
     /// Folder of a complete dataset written by `srflow render` or `srflow shapes`

@@ -22,7 +22,7 @@ const MOST_TIMESTEPS: usize = 256;
 
 /// Write the Gaussians of a head in some pose, for viewers and other programs
 ///
-/// The extension chooses the format: .ply, .splat, .spz or .glb; docs/rasterize.md lists what each keeps. A .glb also holds the
+/// The extension chooses the format: .ply, .splat, .spz or .glb; docs/guides/rasterize.md lists what each keeps. A .glb also holds the
 /// mesh of the head in the same pose, the cameras of --camera, and with --animate the motion of the mesh; the Gaussians stay in their
 /// pose. `srflow avatar mesh` writes the mesh alone.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -48,7 +48,7 @@ Scores are those of the SRFlow paper's Table II: computed per pair over the pixe
 pairs; also inside the head's mask and outside occlusions where the dataset has them. The baseline `zero` is zero flow.
 
 files:DIR scores flow files of another program: one file per pair, DIR/SCENE/FRAME.EXT (DIR/FRAME.EXT where pairs have no \
-scene), in any flow format; docs/datasets.md lists the names for each dataset. --save-flow DIR writes the flow of each method in \
+scene), in any flow format; docs/reference/datasets.md lists the names for each dataset. --save-flow DIR writes the flow of each method in \
 this layout, into DIR/METHOD.
 
 With --out, scores are kept until all are there: the same command continues a run that was ended, and with --shard several processes \

@@ -65,7 +65,7 @@ a video give a folder with the flow from each frame to the next, named after the
 from 1). Several videos or folders of frames give one folder each, named after it, and --shard divides them among processes \
 or machines. Run the same command again to continue an interrupted run. Frames are read on demand: memory does not grow with \
 the length of a sequence. The program ffmpeg reads and writes videos. With --face detect the flow is that of the face, \
-upright, with the same crop for all frames: docs/faces.md.")]
+upright, with the same crop for all frames: docs/guides/faces.md.")]
 pub struct FlowJob {
     /// Two frames or more, a folder of them, or a video; or several folders or videos
     #[arg(required = true, value_name = "FRAME")]

@@ -42,7 +42,7 @@ Examples:
   srflow avatar eval runs/fitted fitted --flow --truth capture
   srflow avatar eval avatar@flame:flame2023.pkl person --split test --json
 
-docs/avatars.md defines the scores.")]
+docs/guides/fit-and-train-avatars.md defines the scores.")]
 pub struct EvalJob {
     /// Folder of the avatar, or of its training; DIR@HEAD where no head.json names its head model
     #[arg(value_name = "AVATAR")]

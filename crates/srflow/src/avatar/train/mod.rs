@@ -30,7 +30,7 @@ use crate::{Job, Report, Watch, WhenStopped, machine};
 ///
 /// Gaussians bound to the triangles of the head model are learned from the pictures, as in GaussianAvatars, and its poses are
 /// corrected. Pictures of a held-out camera and of held-out timesteps are scored. Writes the avatar in GaussianAvatars' files and a
-/// report. docs/avatars.md describes the files and the settings.
+/// report. docs/guides/fit-and-train-avatars.md describes the files and the settings.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 #[command(after_help = "Examples:
@@ -105,10 +105,10 @@ pub struct Overrides {
     /// How Gaussians are added and removed: default (3D Gaussian Splatting), absgs or mcmc
     #[arg(long, value_name = "NAME")]
     pub strategy: Option<String>,
-    /// Render Gaussians smaller than a pixel antialiased; see docs/rasterize.md
+    /// Render Gaussians smaller than a pixel antialiased; see docs/guides/rasterize.md
     #[arg(long)]
     pub antialiased: bool,
-    /// Keep the defects of GaussianAvatars' code, listed in docs/avatars.md
+    /// Keep the defects of GaussianAvatars' code, listed in docs/guides/fit-and-train-avatars.md
     #[arg(long)]
     pub faithful: bool,
     /// Any key of the configuration, e.g. ssim_weight=0.1 or density.until=15000

@@ -5,7 +5,8 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 21] = [
+const PIPELINE: [&str; 23] = [
+    "srflow-no-clap",
     "srflow-simd",
     "srflow-core",
     "srflow-files",
@@ -26,6 +27,7 @@ const PIPELINE: [&str; 21] = [
     "srflow-figure",
     "srflow-view",
     "srflow",
+    "srflow-cli",
     "srflow-python",
 ];
 

@@ -100,7 +100,9 @@ fn run<J: Job>(settings: Map<String, Value>, watch: &Watch) -> Result<Done, Erro
         job = from_json(&all)?;
     }
     let report = job.run(watch)?;
-    Ok(Done { report: serde_json::to_value(&report).map_err(anyhow::Error::from)?, text: report.to_string() })
+    // By way of text, where 0.8 stays 0.8: as a value, a float of 32 bits becomes one of 64 with all its digits.
+    let json = serde_json::to_string(&report).and_then(|text| serde_json::from_str(&text));
+    Ok(Done { report: json.map_err(anyhow::Error::from)?, text: report.to_string() })
 }
 
 #[cfg(feature = "clap")]

@@ -281,7 +281,13 @@ impl Settings {
     /// The settings as `dataset.json` holds them: all that determine the bytes, with fingerprints in place of folders. What is off
     /// by default is left out where it is off, as in datasets of before there was such a setting.
     fn arguments(&self) -> Result<Arguments, RenderError> {
-        let mut settings = with_nested_recording(serde_json::json!(self));
+        let unwritable = |error: serde_json::Error| RenderError::Malformed {
+            path: MANIFEST_NAME.into(),
+            reason: error.to_string(),
+        };
+        // By way of text, where 0.8 stays 0.8: as a value, a float of 32 bits becomes one of 64 with all its digits.
+        let text = serde_json::to_string(self).map_err(unwritable)?;
+        let mut settings = with_nested_recording(serde_json::from_str(&text).map_err(unwritable)?);
         settings["head"] = head::recorded(&self.head)?.into();
         if let Background::Images(dir) = &self.background {
             settings["background"] = format!("images, {}", fingerprint(&background::images(dir)?)).into();
@@ -298,8 +304,7 @@ impl Settings {
         if let Some(settings) = settings.as_object_mut() {
             settings.retain(|name, _| !off.contains(&(name, true)));
         }
-        Arguments::of_settings(settings, self.size)
-            .map_err(|error| RenderError::Malformed { path: MANIFEST_NAME.into(), reason: error.to_string() })
+        Arguments::of_settings(settings, self.size).map_err(unwritable)
     }
 }
 
@@ -459,6 +464,25 @@ mod tests {
         assert!(!Settings { scenes: enough - 1, ..Settings::default() }.empty_splits().is_empty());
         let wanted = Settings { scenes: 1, splits: Numbers([1.0, 0.0, 0.0]), ..Settings::default() };
         assert!(wanted.empty_splits().is_empty(), "a share of zero is intended");
+    }
+
+    #[test]
+    fn the_arguments_of_a_dataset_are_those_that_it_always_had() {
+        let manifest = plan(&Settings { scenes: 2, frames: 3.0, ..Settings::wild() }).unwrap();
+        let mut arguments: Value =
+            serde_json::from_str(&serde_json::to_string(&manifest.arguments).unwrap()).unwrap();
+        let recording = serde_json::json!({
+            "noise": 2.0, "lighting": 1.0, "lamps": 0.8, "shutter": 0.8, "defocus": 1.5, "jpeg": 40
+        });
+        assert_eq!(arguments["recording"].take(), recording);
+        arguments.as_object_mut().unwrap().remove("recording");
+        let expected = serde_json::json!({
+            "head": "builtin", "scenes": 2, "frames": 3.0, "width": 2200, "height": 3208, "splits": [0.61, 0.11, 0.28],
+            "seed": 1, "flow_format": "npz16", "backward": false, "depth": false, "background": "procedural", "motion": "mixed"
+        });
+        assert_eq!(arguments, expected);
+        let (settings, planned) = Settings::of(&manifest).unwrap();
+        assert_eq!((settings, planned), (Settings { scenes: 2, frames: 3.0, ..Settings::wild() }, manifest));
     }
 
     #[test]

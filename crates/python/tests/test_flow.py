@@ -91,9 +91,9 @@ def test_wrong_arguments_are_value_errors_that_say_what_was_expected(frames, arg
 
 def test_wrong_options_are_value_errors(frames):
     first, second, _ = frames
-    with pytest.raises(ValueError, match="unexpected argument '--wraps' found"):
+    with pytest.raises(ValueError, match="unknown setting `wraps`"):
         srflow.flow(first, second, "tvl1", wraps=2)
-    with pytest.raises(ValueError, match="invalid value '0.5' for '--warps <N>'"):
+    with pytest.raises(ValueError, match="`warps`"):
         srflow.flow(first, second, "tvl1", warps=0.5)
     with pytest.raises(ValueError, match="`tvl1` is no network; the networks are srflow, raft"):
         srflow.Network("tvl1")

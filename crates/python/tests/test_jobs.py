@@ -75,9 +75,9 @@ def test_a_callback_may_compute(rendered, tmp_path):
 
 
 def test_wrong_options_of_rendering_are_errors(rendered, tmp_path):
-    with pytest.raises(ValueError, match="unexpected argument '--scene' found; a similar argument exists: '--scenes'; `srflow render --help` lists the options"):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'scene'"):
         srflow.render(tmp_path / "data", scene=3)
-    with pytest.raises(ValueError, match="--frames 0: expected 1 to 99999"):
+    with pytest.raises(ValueError, match="frames=0: expected 1 to 99999"):
         srflow.render(tmp_path / "data", frames=0)
     with pytest.raises(ValueError, match="expected a folder to write into, found the name of a file"):
         srflow.render(tmp_path / "data.zip")
@@ -89,7 +89,7 @@ def test_wrong_options_of_rendering_are_errors(rendered, tmp_path):
     with pytest.raises(OSError, match="file/data: .*; a dataset needs a folder that can be created") as refused:
         srflow.render(tmp_path / "file/data", scenes=1, frames=1)
     assert not isinstance(refused.value, FileNotFoundError)
-    with pytest.raises(FileNotFoundError, match="--head .*nowhere"):
+    with pytest.raises(FileNotFoundError, match="head .*nowhere"):
         srflow.render(tmp_path / "data", head=f"ict:{tmp_path / 'nowhere'}")
     assert not (tmp_path / "data").exists()
 
@@ -174,7 +174,7 @@ def test_a_configuration_is_a_dict(rendered):
 
 
 def test_wrong_options_of_training_are_errors(rendered, trained, tmp_path):
-    with pytest.raises(ValueError, match="required arguments were not provided: --out <DIR>"):
+    with pytest.raises(ValueError, match="out"):
         srflow.train("cpu-small")
     with pytest.raises(FileNotFoundError, match="nothing: opening: .*; pass a TOML file or one of the presets: skflow, "):
         srflow.train("nothing", tmp_path / "run")
@@ -184,9 +184,9 @@ def test_wrong_options_of_training_are_errors(rendered, trained, tmp_path):
         srflow.train("cpu-small", tmp_path / "run", weights="nowhere.pth", **training(rendered))
     with pytest.raises(ValueError, match="nowhere/checkpoints: found no checkpoint to continue from"):
         srflow.train(resume=tmp_path / "nowhere")
-    with pytest.raises(ValueError, match="unexpected argument '--step' found"):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'step'"):
         srflow.train("cpu-small", tmp_path / "run", step=3)
     with pytest.raises(ValueError, match="already contains a run of 4 steps"):
         srflow.train("cpu-small", trained[0], **training(rendered))
-    with pytest.raises(ValueError, match="--resume continues with the configuration of the run"):
+    with pytest.raises(ValueError, match="`resume` continues with the configuration of the run"):
         srflow.train(resume=trained[0], steps=5)

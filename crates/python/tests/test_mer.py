@@ -24,7 +24,7 @@ def test_features_are_those_of_the_command(frames, tmp_path, command):
         srflow.mer.features(onset, apex[:32])
     with pytest.raises(ValueError, match="resize: `during` is not .* expected one of before, after"):
         srflow.mer.features(onset, apex, resize="during")
-    with pytest.raises(ValueError, match="unexpected argument '--wraps' found"):
+    with pytest.raises(ValueError, match="unknown setting `wraps`"):
         srflow.mer.features(onset, apex, "tvl1", wraps=2)
 
 

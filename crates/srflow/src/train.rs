@@ -103,6 +103,7 @@ pub struct Overrides {
     pub seed: Option<u64>,
     /// Any key of the configuration, e.g. training.clip=0.5 or loss.fdr=0.05
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    #[serde(deserialize_with = "crate::assignments::deserialize")]
     pub set: Vec<String>,
 }
 

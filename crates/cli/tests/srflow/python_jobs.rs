@@ -35,6 +35,11 @@ if TYPE_CHECKING:
 def _run(job: str, settings: dict[str, Any]) -> Report:
     callback = settings.pop("callback")
     return Report(*_srflow.run_job(job, settings, callback))
+
+
+def _listed(values: Any) -> Any:
+    one = isinstance(values, str | os.PathLike | int | float)
+    return [values] if one else None if values is None else list(values)
 "#;
 
 #[test]
@@ -63,32 +68,50 @@ fn module() -> String {
 fn function(name: &str, job: &str, command: &Command) -> String {
     let shown = command.get_arguments().filter(|argument| !argument.is_hide_set());
     let (required, optional): (Vec<&Arg>, Vec<&Arg>) = shown.partition(|argument| argument.is_required_set());
+    // A job's configuration and output may go without a name.
+    let (positional, optional): (Vec<&Arg>, Vec<&Arg>) =
+        optional.into_iter().partition(|argument| ["config", "out"].contains(&argument.get_id().as_str()));
     let mut text = format!("\n\ndef {name}(\n");
     for argument in &required {
         writeln!(text, "    {}: {},", argument.get_id(), kind(argument)).unwrap();
     }
+    for argument in &positional {
+        text += &with_default(argument);
+    }
     text += "    *,\n";
     for argument in &optional {
-        let (kind, default) = (kind(argument), default(argument));
-        let kind = if default == "None" { format!("{kind} | None") } else { kind };
-        writeln!(text, "    {}: {kind} = {default},", keyword(argument)).unwrap();
+        text += &with_default(argument);
     }
     text += "    callback: Callback | None = None,\n) -> Report:\n";
     let about = command.get_about().map(ToString::to_string).unwrap_or_default();
     write!(text, "    \"\"\"{}.\n\n    Args:\n", in_docstring(&about)).unwrap();
-    for argument in required.iter().chain(&optional) {
+    let all = || required.iter().chain(&positional).chain(&optional);
+    for argument in all() {
         let help = argument.get_help().map(ToString::to_string).unwrap_or_default();
         writeln!(text, "        {}: {}.", keyword(argument), in_docstring(&help)).unwrap();
     }
     text += "        callback: Called with progress.\n    \"\"\"\n";
-    let renamed = optional.iter().filter(|argument| keyword(argument) != argument.get_id().as_str());
+    let renamed = all().filter(|argument| keyword(argument) != argument.get_id().as_str());
     text += "    settings = locals()\n";
+    let lists = all().filter(|argument| kind(argument).contains("Sequence"));
+    let lists: Vec<String> = lists.map(|argument| format!("\"{}\"", keyword(argument))).collect();
+    if !lists.is_empty() {
+        let comma = if lists.len() == 1 { "," } else { "" };
+        writeln!(text, "    for name in ({}{comma}):", lists.join(", ")).unwrap();
+        text += "        settings[name] = _listed(settings[name])\n";
+    }
     for argument in renamed {
         let (name, keyword) = (argument.get_id(), keyword(argument));
         writeln!(text, "    settings[\"{name}\"] = settings.pop(\"{keyword}\")").unwrap();
     }
     writeln!(text, "    return _run({job:?}, settings)").unwrap();
     text
+}
+
+fn with_default(argument: &Arg) -> String {
+    let (kind, default) = (kind(argument), default(argument));
+    let kind = if default == "None" { format!("{kind} | None") } else { kind };
+    format!("    {}: {kind} = {default},\n", keyword(argument))
 }
 
 fn in_docstring(help: &str) -> String {
@@ -126,7 +149,7 @@ fn kind(argument: &Arg) -> String {
     let one = known.unwrap_or("str");
     match argument.get_id().as_str() {
         "set" => "dict[str, Any]".to_owned(),
-        _ if is_list(argument) => format!("Sequence[{one}]"),
+        _ if is_list(argument) => format!("{one} | Sequence[{one}]"),
         _ => one.to_owned(),
     }
 }

@@ -5,9 +5,11 @@
 //! serializes as JSON:
 //!
 //! ```no_run
-//! use srflow::{Job, Watch, render::RenderJob};
+//! use srflow::render::{RenderJob, Settings};
+//! use srflow::{Job, Watch};
 //!
-//! let job = RenderJob { scenes: 3, frames: 8.0, ..RenderJob::new("tiny") };
+//! let settings = Settings { scenes: 3, frames: 8.0, size: "550x802".parse().unwrap(), ..Settings::default() };
+//! let job = RenderJob { settings, ..RenderJob::new("tiny") };
 //! let report = job.run(&Watch::SILENT)?;
 //! println!("{report}");
 //! # Ok::<(), srflow::Error>(())

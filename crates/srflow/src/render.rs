@@ -4,11 +4,11 @@ use std::fmt;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
-use srflow_render::generate::{Settings, generate};
+use srflow_render::generate::generate;
 use srflow_render::job::StageTime;
 use srflow_render::statistics::Statistics;
 
-pub use srflow_render::generate::{Background, MotionSource};
+pub use srflow_render::generate::{Background, MotionSource, Settings};
 
 /// The help of a setting that is a head.
 pub fn head_help() -> String {

@@ -6,7 +6,7 @@ use srflow_core::{FlowField, Image, flow_colors, longest_flow};
 use srflow_files::{read_flow, read_image};
 
 fn data(name: &str) -> PathBuf {
-    PathBuf::from("../files/tests/data").join(name)
+    PathBuf::from("tests/data").join(name)
 }
 
 /// The arctangents of two libraries may differ in the last bit, and then a channel by one level.

@@ -8,7 +8,7 @@ use srflow_core::{FlowField, Mask, MeanMetrics, Metrics, ScoreError, score};
 use srflow_files::{read_flow, read_mask};
 
 fn data(name: &str) -> PathBuf {
-    PathBuf::from("../files/tests/data").join(name)
+    PathBuf::from("tests/data").join(name)
 }
 
 /// ptlflow sums in `f32`.

@@ -1,0 +1,1799 @@
+"""Every job of the command `srflow` as a function; its settings are keywords.
+
+`callback` is called with progress: a dict with `done` and `total`, and what the job adds, such as `bytes` or `loss`. When it raises an
+exception, or on Ctrl-C, the job stops in order and the exception is raised; the same call continues. Each function returns a
+`Report`: a dict as the command prints with `--json`, whose keys are attributes too.
+
+Written from the settings of the jobs by a test, crates/cli/tests/srflow/python_jobs.rs.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any, Callable, Sequence
+
+from . import _srflow
+from ._report import Report
+
+if TYPE_CHECKING:
+    Path = str | os.PathLike[str]
+    Callback = Callable[[dict[str, Any]], object]
+
+
+def _run(job: str, settings: dict[str, Any]) -> Report:
+    callback = settings.pop("callback")
+    return Report(*_srflow.run_job(job, settings, callback))
+
+
+def _listed(values: Any) -> Any:
+    one = isinstance(values, str | os.PathLike | int | float)
+    return [values] if one else None if values is None else list(values)
+
+
+def demo(
+    out: Path = "srflow-demo",
+    *,
+    head: str = "builtin",
+    seed: int = 5,
+    size: str = "2200x3208",
+    kitti: Path | None = None,
+    pair: Path | Sequence[Path] | None = None,
+    open: bool = False,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Render a small dataset, estimate its flow, score it and show everything in one report.
+
+    Args:
+        out: Folder for the datasets, the scores and report.html.
+        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        seed: Random seed; another seed gives other heads.
+        size: Size of the large frames, WIDTHxHEIGHT; smaller is faster.
+        kitti: Folder of KITTI 2015, to add real photographs with true flow.
+        pair: Two photographs and the true flow between them.
+        open: Open the report in the browser.
+        force: Delete an existing demo and regenerate everything.
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("pair",):
+        settings[name] = _listed(settings[name])
+    return _run("demo", settings)
+
+
+def render(
+    out: Path,
+    *,
+    preset: str | None = None,
+    shard: str = "1/1",
+    stop_after: int | None = None,
+    force: bool = False,
+    head: str = "builtin",
+    scenes: int = 27,
+    frames: float = 413.37,
+    size: str = "2200x3208",
+    splits: str = "0.61,0.11,0.28",
+    seed: int = 1,
+    flow_format: str = "npz16",
+    backward: bool = False,
+    depth: bool = False,
+    regions: bool = False,
+    background: str = "#ffffff",
+    motion: str = "curves",
+    device: str = "cpu",
+    noise: float = 0,
+    lighting: float = 0,
+    lamps: float = 0,
+    shutter: float = 0,
+    defocus: float = 0,
+    jpeg: int | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Render a facial optical-flow dataset with exact flow from a head avatar.
+
+    Args:
+        out: Folder of the dataset.
+        preset: Defaults of other settings: `wild` is a procedural background, mixed motion and every effect of a recording.
+        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        stop_after: Stop after N pairs, clips or timesteps; the same command continues.
+        force: Delete the dataset in the folder and start over.
+        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        scenes: Number of scenes, one subject each.
+        frames: Frame pairs per scene; if not an integer, the mean over the scenes, rounded so that scenes are as even as possible.
+        size: Size of the frames, WIDTHxHEIGHT.
+        splits: Shares of train, val and test scenes, which sum to 1.
+        seed: Random seed.
+        flow_format: File format of the flow: flo, png, png128, pfm, flo5, npy, npz, npz16.
+        backward: Also write the flow from frame 2 to frame 1.
+        depth: Also write depth.
+        regions: Also write region maps: whether a pixel shows skin, eyes, mouth, hair or neck.
+        background: Background: white, black, #rrggbb, `procedural` (rooms, textures, gradients, lights), or a folder of images.
+        motion: Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (with micro-expressions, small and large), `own` (the one that an avatar was trained on), or a flame_param.npz or capture of another subject with the same kind of head.
+        device: Device to rasterize on.
+        noise: Sensor noise, 0 to 50; at 1 a standard deviation of 0.9 levels of 255 in black, 1.8 in mid-grey and 2.3 in white.
+        lighting: Exposure and white balance, 0 to 4; at 1 off by half a stop at most, changing by 2 % within a scene.
+        lamps: Share of the head's light that comes from one to three lamps around it, 0 to 1.
+        shutter: Motion blur: share of the time between frames during which the shutter is open, 0 to 1, centred at the frame's time.
+        defocus: Radius of the blur of a lens out of focus, 0 to 64 pixels.
+        jpeg: Least quality of JPEG compression, 1 to 100; a scene's is from here to 95, or this one if it is higher.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("render", settings)
+
+
+def shapes(
+    out: Path,
+    *,
+    pairs: int = 22872,
+    size: str = "512x384",
+    motion: str = "0.25,32",
+    textures: Path | None = None,
+    seed: int = 1,
+    flow_format: str = "npz16",
+    shard: str = "1/1",
+    stop_after: int | None = None,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Render a dataset of generic pairs with exact flow and occlusion, to start training from.
+
+    Args:
+        out: Folder of the dataset.
+        pairs: Number of pairs.
+        size: Size of the frames, WIDTHxHEIGHT.
+        motion: Typical motion in pixels, from the shortest to the longest; each octave is equally likely.
+        textures: Folder of images that half of the layers show [default: procedural textures].
+        seed: Random seed.
+        flow_format: File format of the flow: flo, png, png128, pfm, flo5, npy, npz, npz16.
+        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        stop_after: Stop after N pairs, clips or timesteps; the same command continues.
+        force: Delete the dataset in the folder and start over.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("shapes", settings)
+
+
+def flow(
+    frames: Path | Sequence[Path],
+    out: Path,
+    *,
+    method: str = "srflow",
+    format: str = "flo",
+    viz: Path | None = None,
+    uncertainty: Path | None = None,
+    occlusion: Path | None = None,
+    viz_max: float | None = None,
+    initial_flow: Path | None = None,
+    warm_start: bool = False,
+    batch: int = 1,
+    force: bool = False,
+    save_crops: Path | None = None,
+    shard: str = "1/1",
+    face: str | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
+    face_box: str | None = None,
+    landmarks: Path | None = None,
+    refine: bool = False,
+    weights: str | None = None,
+    iters: str | None = None,
+    set: dict[str, Any] | None = None,
+    precision: str = "f32",
+    attention_tolerance: float | None = None,
+    device: str = "cpu",
+    tile: str | None = None,
+    tile_overlap: int = 128,
+    scale: float | None = None,
+    pyr_scale: float | None = None,
+    levels: int | None = None,
+    winsize: int | None = None,
+    iterations: int | None = None,
+    poly_n: int | None = None,
+    poly_sigma: float | None = None,
+    farneback_gaussian: bool = False,
+    tau: float | None = None,
+    lambda_: float | None = None,
+    theta: float | None = None,
+    nscales: int | None = None,
+    warps: int | None = None,
+    epsilon: float | None = None,
+    inner_iterations: int | None = None,
+    outer_iterations: int | None = None,
+    scale_step: float | None = None,
+    gamma: float | None = None,
+    median_filtering: int | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Estimate optical flow between frames.
+
+    Args:
+        frames: Two frames or more, a folder of them, or a video; or several folders or videos.
+        out: Flow file, or folder of flow files.
+        method: How to estimate the flow: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; a network followed by its weights, as in raft=FILE; srflow has its own.
+        format: Format of the files in a folder.
+        viz: Also draw the flow in colours: into a PNG file, a folder of PNG files, or a video.
+        uncertainty: Also write the expected error of each component of the flow in pixels, as .npy of shape (H, W), a file or a folder like --out; with --viz also as PNG next to it; for srflow, dpflow, sea-raft-s, sea-raft-m, sea-raft-l.
+        occlusion: Also write the probability that a pixel of the first frame is hidden in the second, as .npy of shape (H, W), a file or a folder like --out; with --viz also as PNG next to it; for flownet3-css.
+        viz_max: Length in pixels of the flow with full colour, and the uncertainty with the brightest [default: the largest of each pair].
+        initial_flow: Start from this flow (for two frames).
+        warm_start: Start each pair of a sequence from the flow of the previous one, projected forward.
+        batch: Pairs of a sequence that a network estimates at once.
+        force: Overwrite existing files.
+        save_crops: With --face, --face-box or --landmarks: also write the cropped frames, which the flow belongs to, as PNG files.
+        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        face: Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats the run without them.
+        face_index: Which face, where several are found: 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or a .whl file, or a folder with its files face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
+        landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
+        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
+        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
+        device: Device to compute on; this build has cpu.
+        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
+        scale: Resize the frames by this factor first, and the flow back.
+        pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
+        levels: Pyramid levels in addition to the full size [default: 5].
+        winsize: Side of the averaging window in pixels [default: 13].
+        iterations: Iterations at each level [default: 10].
+        poly_n: Radius of the polynomial fit in pixels [default: 5].
+        poly_sigma: Standard deviation of the fit's weight in pixels [default: 1.1].
+        farneback_gaussian: Use a Gaussian averaging window in place of a box.
+        tau: Time step of the dual update [default: 0.25].
+        lambda_: Weight of the data term; smaller is smoother [default: 0.15].
+        theta: Tightness of the coupling of data term and smoothness [default: 0.3].
+        nscales: Number of scales [default: 5].
+        warps: Warps at each scale [default: 5].
+        epsilon: Stop iterating when the flow changes by less than this, in pixels [default: 0.01].
+        inner_iterations: Iterations between two median filters [default: 30].
+        outer_iterations: Median filters after each warp [default: 10].
+        scale_step: Size of a scale relative to the next finer one [default: 0.8].
+        gamma: Weight of an additional brightness change; 0 disables it [default: 0].
+        median_filtering: Side of the median filter, 3 or 5 pixels, or 1 for none [default: 5].
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("frames",):
+        settings[name] = _listed(settings[name])
+    settings["lambda"] = settings.pop("lambda_")
+    return _run("flow", settings)
+
+
+def metrics(
+    prediction: Path,
+    *,
+    truth: Path | None = None,
+    mask: Path | None = None,
+    regularizers: bool = False,
+    image: Path | None = None,
+    image_max: float = 255,
+    m_total: str = "interior",
+    callback: Callback | None = None,
+) -> Report:
+    """Score one flow against the ground truth, or evaluate the paper's regularizers on it.
+
+    Args:
+        prediction: Predicted flow (.flo, KITTI .png, .pfm, .flo5, .npy, .npz).
+        truth: Ground truth, in any of these formats.
+        mask: Mask: score only pixels where this image is over 127; for the regularizers, the head.
+        regularizers: Evaluate the four regularizers on PRED.
+        image: First frame of PRED.
+        image_max: Value of a white pixel of FRAME1 when MIGAR and IGVAR take its gradients.
+        m_total: Pixels of the head that MIGAR and IGVAR use: all but the outline, or the paper's formula as printed.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("metrics", settings)
+
+
+def convert(
+    input: Path,
+    output: Path,
+    *,
+    viz: bool = False,
+    max: float | None = None,
+    ply_up: str = "y",
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Convert a flow or 3D Gaussians between file formats, or draw a flow in colours.
+
+    Args:
+        input: Flow or Gaussians to read.
+        output: File to write.
+        viz: Draw the flow in the colours of Middlebury's wheel, as a .png; unknown pixels are black.
+        max: Length of the flow with full colour, in pixels (default: the longest of the picture).
+        ply_up: Direction that is up in a .ply of Gaussians, which does not say so: y, as for heads of srflow, or -y, as for most scenes that were reconstructed from photographs.
+        force: Overwrite OUT.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("convert", settings)
+
+
+def rasterize(
+    out: Path,
+    *,
+    gaussians: Path | None = None,
+    next: Path | None = None,
+    head: str | None = None,
+    motion: str | None = None,
+    timestep: int | None = None,
+    action_units: str | None = None,
+    seed: int = 1,
+    timestep_next: int | None = None,
+    action_units_next: str | None = None,
+    camera: Path | None = None,
+    view: str | None = None,
+    camera_next: Path | None = None,
+    view_next: str | None = None,
+    size: str | None = None,
+    orbit: str | None = None,
+    path: Path | None = None,
+    fps: int = 25,
+    background: str = "#000000",
+    pixel_convention: str = "splat",
+    antialiased: bool = False,
+    sort_per_pixel: bool = False,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Rasterize a file of 3D Gaussians or a head: colour, flow, alpha and depth.
+
+    Args:
+        out: Folder to write into, created if missing; with a moving camera also a video file.
+        gaussians: Gaussians of this frame: .ply, .splat, .spz or .glb.
+        next: Gaussians of the next frame: the same ones in the same order.
+        head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        motion: Motion of the head: `own` (the one that an avatar was trained on), a flame_param.npz or capture of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
+        timestep: Timestep of the motion in this frame, from 0.
+        action_units: Action units in place of a motion, 0 to 1 each, such as 6=0.5,12_L=1.
+        seed: Seed of the person and of the random motion, for heads that are made from one.
+        timestep_next: Timestep of the motion in the next frame.
+        action_units_next: Action units in the next frame.
+        camera: Camera of this frame [default: one that sees all Gaussians from +z, where +y is up; those of a .splat file from -z, where -y is up].
+        view: Camera of CAM to use: its name (that of its picture, with or without folder and extension), or its number from 0.
+        camera_next: Camera of the next frame, of the same image size.
+        view_next: Camera to use from --camera-next, or from --camera without --camera-next.
+        size: Size of the pictures, in the camera's own proportions; required where CAM has no size.
+        orbit: Move the camera around the centre of the Gaussians, to the right where DEGREES are positive [default: a frame every 3 degrees].
+        path: Move through the cameras of this file, in their order.
+        fps: Frames per second of the video.
+        background: Background colour: white, black, #rrggbb or R,G,B (0 to 255 each).
+        pixel_convention: Convention for pixel coordinates of the flow.
+        antialiased: Reduce the opacity of Gaussians smaller than a pixel, for Gaussians that were trained in this way [default: as their file says].
+        sort_per_pixel: Sort the Gaussians at each pixel along its ray, instead of once by their centres: nothing pops when the camera moves.
+        force: Overwrite existing files in OUT.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("rasterize", settings)
+
+
+def models(
+    *,
+    callback: Callback | None = None,
+) -> Report:
+    """List the networks.
+
+    Args:
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("models", settings)
+
+
+def models_inspect(
+    file: Path,
+    *,
+    callback: Callback | None = None,
+) -> Report:
+    """Inspect a file of weights.
+
+    Args:
+        file: Weights: PyTorch (.pth, .pt, .ckpt), safetensors, burnpack, TensorFlow (.index) or Keras (.h5).
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("models inspect", settings)
+
+
+def models_export(
+    weights: str,
+    out: Path,
+    *,
+    half: bool = False,
+    iters: int | None = None,
+    size: str | None = None,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Export weights for PyTorch or as safetensors, or a network as ONNX.
+
+    Args:
+        weights: Weights of one of the networks: a file, the name of published weights, such as skflow-things, or the name of a network whose weights come with srflow.
+        out: File to write: .ckpt, .pt or .pth (PyTorch), .safetensors, or .onnx.
+        half: Store 16-bit numbers, rounded to the nearest, in half of the bytes; for .safetensors.
+        iters: Refinement iterations, each of which is in the file; for .onnx [default: the network's own, see `srflow models`].
+        size: The one size of the frames that the file takes, WIDTHxHEIGHT; for .onnx [default: it takes any size].
+        force: Overwrite an existing file.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("models export", settings)
+
+
+def device(
+    *,
+    callback: Callback | None = None,
+) -> Report:
+    """List the devices of this machine.
+
+    Args:
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("device", settings)
+
+
+def device_network(
+    network: str,
+    *,
+    iters: str | None = None,
+    weights: Path | None = None,
+    precision: str = "f32",
+    device: str = "cpu",
+    size: str = "800x512",
+    repeats: int = 4,
+    against_cpu: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Time a network on two frames of the built-in head.
+
+    Args:
+        network: Name of the network; `srflow models` lists them.
+        iters: Refinement iterations [default: the network's own].
+        weights: File of weights.
+        precision: What the network multiplies on the device; on the CPU, with --against-cpu, f32.
+        device: Device to compute on; this build has cpu.
+        size: Size of the frames, WIDTHxHEIGHT.
+        repeats: How often; the first time includes the compilation of kernels.
+        against_cpu: Also compute on the CPU, and print the differences.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("device network", settings)
+
+
+def device_rasterizer(
+    *,
+    device: str = "cpu",
+    size: str = "800x512",
+    repeats: int = 4,
+    against_cpu: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Time the rasterizer: frame, flow, alpha and depths of the built-in head.
+
+    Args:
+        device: Device to compute on; this build has cpu.
+        size: Size of the frames, WIDTHxHEIGHT.
+        repeats: How often; the first time includes the compilation of kernels.
+        against_cpu: Also compute on the CPU, and print the differences.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("device rasterizer", settings)
+
+
+def train(
+    config: Path | None = None,
+    out: Path | None = None,
+    *,
+    resume: Path | None = None,
+    print_config: bool = False,
+    stop_after_step: int | None = None,
+    device: str | Sequence[str] | None = None,
+    mpi: bool = False,
+    data: str | Sequence[str] | None = None,
+    validation: str | Sequence[str] | None = None,
+    network: str | None = None,
+    weights: str | None = None,
+    steps: int | None = None,
+    epochs: int | None = None,
+    batch: int | None = None,
+    crop: str | None = None,
+    iterations: int | None = None,
+    learning_rate: float | None = None,
+    seed: int | None = None,
+    set: dict[str, Any] | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Train an optical flow network.
+
+    Args:
+        config: Preset (skflow, rpknet, memflow, dpflow, srflownet-tvr, srflownet-fdr, srflownet-migar, srflownet-igvar, sea-raft, ssa, srflow, cpu-small, cpu-srflownet) or TOML file [default: skflow].
+        out: Folder of the run.
+        resume: Continue the run in this folder from its last checkpoint.
+        print_config: Print the configuration with every key instead of training, as TOML or JSON.
+        stop_after_step: Stop after this step with a checkpoint, from which `resume` continues.
+        device: Device to train on; several devices share each batch.
+        mpi: Share every batch with the other processes that `mpirun` or `srun` has started.
+        data: Training dataset, KIND:DIR; several for a mix, KIND:DIR*TIMES; `shapes:` and `rendered:` make pairs while training.
+        validation: Validation dataset [default: the val split of the training data].
+        network: Network.
+        weights: Initial weights: a file, or the name of published weights, such as things.
+        steps: Number of steps; overrides the epochs.
+        epochs: Epochs.
+        batch: Batch size in pairs.
+        crop: Crop size.
+        iterations: Refinement iterations of the network.
+        learning_rate: Peak learning rate.
+        seed: Random seed.
+        set: Any key of the configuration, e.g. training.clip=0.5 or loss.fdr=0.05.
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("device", "data", "validation"):
+        settings[name] = _listed(settings[name])
+    return _run("train", settings)
+
+
+def ablation(
+    out: Path,
+    config: Path | None = None,
+    *,
+    rows: str | Sequence[str] | None = None,
+    seeds: int | Sequence[int] | None = None,
+    control: str | Sequence[str] | None = None,
+    test: str | Sequence[str] | None = None,
+    device: str | Sequence[str] | None = None,
+    data: str | Sequence[str] | None = None,
+    validation: str | Sequence[str] | None = None,
+    network: str | None = None,
+    weights: str | None = None,
+    steps: int | None = None,
+    epochs: int | None = None,
+    batch: int | None = None,
+    crop: str | None = None,
+    iterations: int | None = None,
+    learning_rate: float | None = None,
+    seed: int | None = None,
+    set: dict[str, Any] | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Train with each loss of the paper and print its Table V.
+
+    Args:
+        out: Folder for the runs and the table.
+        config: Preset or TOML file shared by all runs, except for its loss weights and seed [default: skflow].
+        rows: Rows to run: start, control, none, tvr, fdr, migar, igvar, migar-literal, igvar-literal [default: all; start, which is not trained, only with --weights, control only with --control].
+        seeds: Seeds for every row.
+        control: Training data of the row `control`, KIND:DIR; several for a mix.
+        test: Dataset to score on, KIND:DIR@SPLIT; several for tables of each [default: the test split of the first training dataset].
+        device: Device to train on; several devices share each batch.
+        data: Training dataset, KIND:DIR; several for a mix, KIND:DIR*TIMES; `shapes:` and `rendered:` make pairs while training.
+        validation: Validation dataset [default: the val split of the training data].
+        network: Network.
+        weights: Initial weights: a file, or the name of published weights, such as things.
+        steps: Number of steps; overrides the epochs.
+        epochs: Epochs.
+        batch: Batch size in pairs.
+        crop: Crop size.
+        iterations: Refinement iterations of the network.
+        learning_rate: Peak learning rate.
+        seed: Random seed.
+        set: Any key of the configuration, e.g. training.clip=0.5 or loss.fdr=0.05.
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("rows", "seeds", "control", "test", "device", "data", "validation"):
+        settings[name] = _listed(settings[name])
+    return _run("ablation", settings)
+
+
+def merge(
+    parts: Path | Sequence[Path],
+    out: Path,
+    *,
+    copy: bool = False,
+    partial: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Join the parts of a dataset that were made with --shard.
+
+    Args:
+        parts: Folders of the parts.
+        out: Folder of the whole dataset: a new one, one of an earlier merge, or one of the parts.
+        copy: Copy files rather than link them.
+        partial: Merge although pairs or clips are missing; the dataset is complete when a later merge, or the command that made the parts, adds them.
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("parts",):
+        settings[name] = _listed(settings[name])
+    return _run("merge", settings)
+
+
+def pack(
+    dir: Path,
+    out: Path,
+    *,
+    flow: str = "npy",
+    shard_size: str = "1GB",
+    stop_after: int | None = None,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Pack a dataset into WebDataset tars, with an index and a dataset card, to publish and to stream.
+
+    Args:
+        dir: Folder of a complete dataset written by `srflow render` or `srflow shapes`.
+        out: Folder of the packed dataset.
+        flow: Flow: npy (float16), npy32 (float32), png (KITTI's 16-bit PNG) or npz16 (as `srflow render` writes it).
+        shard_size: Approximate size of a tar: bytes, or with kB, MB or GB.
+        stop_after: Stop after packing N pairs; the same command continues.
+        force: Delete the packed dataset in the folder and start over.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("pack", settings)
+
+
+def check(
+    dir: Path,
+    *,
+    hashes: bool = False,
+    rerender: str | None = None,
+    seed: int | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Open every file of a dataset and report problems.
+
+    Args:
+        dir: Folder of a dataset written by `srflow render`; with --hashes also by `srflow shapes` or `srflow mer synth`.
+        hashes: Compare every file with its hash in SHA256SUMS instead, as `sha256sum -c SHA256SUMS` does.
+        rerender: Render N random pairs again instead, and compare the bytes of their files; for datasets that need no other files.
+        seed: Seed that draws the pairs of --rerender [default: from the clock].
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("check", settings)
+
+
+def eval(
+    dataset: str,
+    out: Path | None = None,
+    *,
+    split: str | None = None,
+    method: str | Sequence[str] | None = None,
+    crop: str | None = None,
+    limit: str | None = None,
+    batch: int = 1,
+    regions: bool = False,
+    small_motion: float | None = None,
+    expression: bool = False,
+    keep_going: bool = False,
+    save_flow: Path | None = None,
+    figure: Path | None = None,
+    figure_pairs: str | Sequence[str] | None = None,
+    force: bool = False,
+    shard: str = "1/1",
+    face: str | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
+    face_box: str | None = None,
+    landmarks: Path | None = None,
+    rows: str | None = None,
+    weights_dir: Path = ".",
+    skip_missing: bool = False,
+    refine: bool = False,
+    weights: str | None = None,
+    iters: str | None = None,
+    set: dict[str, Any] | None = None,
+    precision: str = "f32",
+    attention_tolerance: float | None = None,
+    device: str = "cpu",
+    tile: str | None = None,
+    tile_overlap: int = 128,
+    scale: float | None = None,
+    pyr_scale: float | None = None,
+    levels: int | None = None,
+    winsize: int | None = None,
+    iterations: int | None = None,
+    poly_n: int | None = None,
+    poly_sigma: float | None = None,
+    farneback_gaussian: bool = False,
+    tau: float | None = None,
+    lambda_: float | None = None,
+    theta: float | None = None,
+    nscales: int | None = None,
+    warps: int | None = None,
+    epsilon: float | None = None,
+    inner_iterations: int | None = None,
+    outer_iterations: int | None = None,
+    scale_step: float | None = None,
+    gamma: float | None = None,
+    median_filtering: int | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Score estimators over a dataset and print the table.
+
+    Args:
+        dataset: Kind of dataset and its folder, e.g. sintel-clean:/data/Sintel.
+        out: Also write scores.{txt,csv,json,tex,md}, pairs.csv and report.html into this folder.
+        split: Split: train, val, test or all [default: the one that results are usually reported on].
+        method: Methods to score: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE [default: srflow].
+        crop: Crop that is estimated and scored, centred on the head (without a mask, on the frame).
+        limit: Score only N pairs, spread evenly over the dataset.
+        batch: Pairs that a network estimates at once, if they follow each other and have one size; scores do not change, and each pair's time is an equal share of the batch's.
+        regions: Also score skin, eyes, mouth, hair, neck, the rim of the head (the 3 px beside the background; no other region contains them) and the background, by the region maps of `srflow render --regions`.
+        small_motion: Also score the pixels whose true flow is shorter than this, e.g. 0.5; of the head, where there are masks.
+        expression: Also score the motion that remains inside the head (without a mask, in the frame) when that of the head, its best affine fit, is taken away from the estimated and the true flow: the correlation of the two, and how strong the estimated one is.
+        keep_going: Leave out pairs that cannot be scored, for every method, and continue; the exit code is still 1.
+        save_flow: Also write the flow of each method and pair, as DIR/METHOD/SCENE/FRAME.flo.
+        figure: Also write a figure for a paper into this folder: figure.svg, figure.pdf, and its panels as PNGs of full size; `srflow figure` makes others.
+        figure_pairs: Pairs in the figure, by their names in pairs.csv [default: 4, spread evenly].
+        force: Overwrite these files.
+        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        face: Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats the run without them.
+        face_index: Which face, where several are found: 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or a .whl file, or a folder with its files face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
+        landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
+        rows: Methods with their names and weights: a TOML file, or one of paper-table-2, paper-table-3, paper-table-4, paper-table-6, paper-tables-7-to-10.
+        weights_dir: Folder that the weights of --rows are looked for in.
+        skip_missing: Leave out rows whose weights, or whose networks in this version, are missing, and say so in the table.
+        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
+        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
+        device: Device to compute on; this build has cpu.
+        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
+        scale: Resize the frames by this factor first, and the flow back.
+        pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
+        levels: Pyramid levels in addition to the full size [default: 5].
+        winsize: Side of the averaging window in pixels [default: 13].
+        iterations: Iterations at each level [default: 10].
+        poly_n: Radius of the polynomial fit in pixels [default: 5].
+        poly_sigma: Standard deviation of the fit's weight in pixels [default: 1.1].
+        farneback_gaussian: Use a Gaussian averaging window in place of a box.
+        tau: Time step of the dual update [default: 0.25].
+        lambda_: Weight of the data term; smaller is smoother [default: 0.15].
+        theta: Tightness of the coupling of data term and smoothness [default: 0.3].
+        nscales: Number of scales [default: 5].
+        warps: Warps at each scale [default: 5].
+        epsilon: Stop iterating when the flow changes by less than this, in pixels [default: 0.01].
+        inner_iterations: Iterations between two median filters [default: 30].
+        outer_iterations: Median filters after each warp [default: 10].
+        scale_step: Size of a scale relative to the next finer one [default: 0.8].
+        gamma: Weight of an additional brightness change; 0 disables it [default: 0].
+        median_filtering: Side of the median filter, 3 or 5 pixels, or 1 for none [default: 5].
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("method", "figure_pairs"):
+        settings[name] = _listed(settings[name])
+    settings["lambda"] = settings.pop("lambda_")
+    return _run("eval", settings)
+
+
+def figure(
+    *,
+    output: Path | Sequence[Path] | None = None,
+    panels: Path | None = None,
+    dataset: str | None = None,
+    split: str | None = None,
+    samples: str | Sequence[str] | None = None,
+    frames: Path | Sequence[Path] | None = None,
+    truth: Path | None = None,
+    flow: str | Sequence[str] | None = None,
+    method: str | Sequence[str] | None = None,
+    columns: str | Sequence[str] | None = None,
+    crop: str | None = None,
+    flow_scale: str = "auto",
+    error_scale: str = "auto",
+    strain_scale: str = "auto",
+    arrows: int | None = None,
+    titles: str | Sequence[str] | None = None,
+    labels: str | Sequence[str] | None = None,
+    captions: str | Sequence[str] | None = None,
+    letters: bool = False,
+    no_scores: bool = False,
+    font_size: int = 8,
+    width: str = "17.8cm",
+    max_columns: int = 10,
+    dpi: int = 600,
+    force: bool = False,
+    refine: bool = False,
+    weights: str | None = None,
+    iters: str | None = None,
+    set: dict[str, Any] | None = None,
+    precision: str = "f32",
+    attention_tolerance: float | None = None,
+    device: str = "cpu",
+    tile: str | None = None,
+    tile_overlap: int = 128,
+    scale: float | None = None,
+    pyr_scale: float | None = None,
+    levels: int | None = None,
+    winsize: int | None = None,
+    iterations: int | None = None,
+    poly_n: int | None = None,
+    poly_sigma: float | None = None,
+    farneback_gaussian: bool = False,
+    tau: float | None = None,
+    lambda_: float | None = None,
+    theta: float | None = None,
+    nscales: int | None = None,
+    warps: int | None = None,
+    epsilon: float | None = None,
+    inner_iterations: int | None = None,
+    outer_iterations: int | None = None,
+    scale_step: float | None = None,
+    gamma: float | None = None,
+    median_filtering: int | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Make a figure for a paper: frames, flow, errors and strain in a grid.
+
+    Args:
+        output: Figures to write, as .pdf or .svg.
+        panels: Also write every panel as a PNG of full size into this folder.
+        dataset: Kind of dataset and its folder, as for `srflow eval`.
+        split: Split: train, val, test or all [default: the one that results are usually reported on].
+        samples: Pairs of the dataset, one row for each: their names in pairs.csv of `srflow eval`, or their numbers from 0 [default: 3, spread evenly].
+        frames: Two frames instead of a dataset.
+        truth: True flow between --frames, in any format of `srflow convert`.
+        flow: Flow files between --frames, with the names of their methods.
+        method: Methods to show: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
+        columns: Columns: see below [default: truth+frame1 flow+error; without truth: frame1 frame2 flow].
+        crop: Show this part of the frames: around the head (without a mask, in the middle), or from column X and row Y. Flow is estimated on whole frames; scores and scales are those of the part.
+        flow_scale: Flow with full colour, in pixels: a number, `auto` (one scale for the figure), or `pair` (one for each pair).
+        error_scale: Upper end of errors, in pixels, likewise.
+        strain_scale: Upper end of strain, likewise.
+        arrows: Draw an arrow on flow every STEP pixels; flow with full colour has arrows of that length.
+        titles: Titles of the columns, one for each; may be empty [default: what they show].
+        labels: Labels of the rows, one for each pair; may be empty [default: their names, if there are several].
+        captions: Captions of the panels, from left to right and from top to bottom [default: the end-point error of methods].
+        letters: Begin the captions of panels with (a), (b), .
+        no_scores: Leave out the end-point errors.
+        font_size: Size of titles and labels in points; captions are smaller.
+        width: Width of the figure, in mm, cm, in, pt or bp (those of LaTeX), such as 252pt.
+        max_columns: Most columns in a row; more continue in another row.
+        dpi: Resolution that pictures are averaged down to where they have more pixels, in pixels per inch.
+        force: Overwrite these files.
+        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
+        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
+        device: Device to compute on; this build has cpu.
+        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
+        scale: Resize the frames by this factor first, and the flow back.
+        pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
+        levels: Pyramid levels in addition to the full size [default: 5].
+        winsize: Side of the averaging window in pixels [default: 13].
+        iterations: Iterations at each level [default: 10].
+        poly_n: Radius of the polynomial fit in pixels [default: 5].
+        poly_sigma: Standard deviation of the fit's weight in pixels [default: 1.1].
+        farneback_gaussian: Use a Gaussian averaging window in place of a box.
+        tau: Time step of the dual update [default: 0.25].
+        lambda_: Weight of the data term; smaller is smoother [default: 0.15].
+        theta: Tightness of the coupling of data term and smoothness [default: 0.3].
+        nscales: Number of scales [default: 5].
+        warps: Warps at each scale [default: 5].
+        epsilon: Stop iterating when the flow changes by less than this, in pixels [default: 0.01].
+        inner_iterations: Iterations between two median filters [default: 30].
+        outer_iterations: Median filters after each warp [default: 10].
+        scale_step: Size of a scale relative to the next finer one [default: 0.8].
+        gamma: Weight of an additional brightness change; 0 disables it [default: 0].
+        median_filtering: Side of the median filter, 3 or 5 pixels, or 1 for none [default: 5].
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("output", "samples", "frames", "flow", "method", "columns", "titles", "labels", "captions"):
+        settings[name] = _listed(settings[name])
+    settings["lambda"] = settings.pop("lambda_")
+    return _run("figure", settings)
+
+
+def view(
+    thing: str,
+    *,
+    output: Path | None = None,
+    serve: int | None = None,
+    split: str | None = None,
+    limit: str | None = None,
+    motion: str | None = None,
+    seed: int = 1,
+    force: bool = False,
+    method: str | Sequence[str] | None = None,
+    refine: bool = False,
+    weights: str | None = None,
+    iters: str | None = None,
+    set: dict[str, Any] | None = None,
+    precision: str = "f32",
+    attention_tolerance: float | None = None,
+    device: str = "cpu",
+    tile: str | None = None,
+    tile_overlap: int = 128,
+    scale: float | None = None,
+    pyr_scale: float | None = None,
+    levels: int | None = None,
+    winsize: int | None = None,
+    iterations: int | None = None,
+    poly_n: int | None = None,
+    poly_sigma: float | None = None,
+    farneback_gaussian: bool = False,
+    tau: float | None = None,
+    lambda_: float | None = None,
+    theta: float | None = None,
+    nscales: int | None = None,
+    warps: int | None = None,
+    epsilon: float | None = None,
+    inner_iterations: int | None = None,
+    outer_iterations: int | None = None,
+    scale_step: float | None = None,
+    gamma: float | None = None,
+    median_filtering: int | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Show Gaussians, an avatar, a dataset or flow in a browser.
+
+    Args:
+        thing: What to show.
+        output: The page to write [default: the name of the thing with .html, in this folder].
+        serve: Serve the page on this machine instead of writing it, and load pairs on demand; on this port, or any free one if none or 0 is given.
+        split: Split of a dataset: train, val, test or all [default: the one that results are usually reported on].
+        limit: Show N pairs, spread evenly over the dataset [default: all if served, else as many as make 48 MB, at most 24].
+        motion: Motion of a head: `own`, `curves`, or a file, as for `srflow rasterize` [default: own if it has one, else curves].
+        seed: Seed of the person and of the random motion, for heads that are made from one.
+        force: Overwrite the page.
+        method: Methods whose flow is shown beside a dataset's: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
+        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
+        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
+        device: Device to compute on; this build has cpu.
+        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
+        scale: Resize the frames by this factor first, and the flow back.
+        pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
+        levels: Pyramid levels in addition to the full size [default: 5].
+        winsize: Side of the averaging window in pixels [default: 13].
+        iterations: Iterations at each level [default: 10].
+        poly_n: Radius of the polynomial fit in pixels [default: 5].
+        poly_sigma: Standard deviation of the fit's weight in pixels [default: 1.1].
+        farneback_gaussian: Use a Gaussian averaging window in place of a box.
+        tau: Time step of the dual update [default: 0.25].
+        lambda_: Weight of the data term; smaller is smoother [default: 0.15].
+        theta: Tightness of the coupling of data term and smoothness [default: 0.3].
+        nscales: Number of scales [default: 5].
+        warps: Warps at each scale [default: 5].
+        epsilon: Stop iterating when the flow changes by less than this, in pixels [default: 0.01].
+        inner_iterations: Iterations between two median filters [default: 30].
+        outer_iterations: Median filters after each warp [default: 10].
+        scale_step: Size of a scale relative to the next finer one [default: 0.8].
+        gamma: Weight of an additional brightness change; 0 disables it [default: 0].
+        median_filtering: Side of the median filter, 3 or 5 pixels, or 1 for none [default: 5].
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("method",):
+        settings[name] = _listed(settings[name])
+    settings["lambda"] = settings.pop("lambda_")
+    return _run("view", settings)
+
+
+def avatar_capture(
+    out: Path,
+    *,
+    head: str = "builtin",
+    cameras: int = 16,
+    timesteps: int = 100,
+    size: str = "550x802",
+    background: str = "#ffffff",
+    noise: float = 0,
+    calibration_noise: float = 0,
+    landmark_noise: float = 0,
+    seed: int = 1,
+    shard: str = "1/1",
+    stop_after: int | None = None,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Render a moving head for many cameras, in the files that VHAP exports and GaussianAvatars is trained on.
+
+    Args:
+        out: Folder of the capture.
+        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        cameras: Number of cameras, 1 to 16; the front camera, number 8, is always one.
+        timesteps: Number of timesteps.
+        size: Size of the pictures, WIDTHxHEIGHT.
+        background: Background colour: white, black, #rrggbb or R,G,B (0 to 255 each).
+        noise: Sensor noise on the head; 1 is a standard deviation of about 1.8 of 255 in mid-grey.
+        calibration_noise: Error of the cameras in transforms.json; 1 is about half a pixel at 550x802.
+        landmark_noise: Standard deviation of the landmarks in landmarks.csv, in pixels.
+        seed: Random seed of the person, the motion and the noise.
+        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        stop_after: Stop after N pairs, clips or timesteps; the same command continues.
+        force: Delete the dataset in the folder and start over.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("avatar capture", settings)
+
+
+def avatar_import(
+    pictures: Path,
+    pattern: str,
+    cameras: Path,
+    out: Path,
+    *,
+    masks: str | None = None,
+    metres_per_unit: float = 1,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Make a capture from pictures in folders and a file of their cameras.
+
+    Args:
+        pictures: Folder of the pictures.
+        pattern: How pictures are named below PICTURES, with {camera} and {timestep}; without an ending, PNG and JPEG.
+        cameras: File of the cameras, or folder of a COLMAP model.
+        out: Folder to write.
+        masks: How masks are named below PICTURES, white where the head is.
+        metres_per_unit: Metres in a unit of the cameras: heads have sizes in metres.
+        force: Overwrite the lists in the folder.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("avatar import", settings)
+
+
+def avatar_fit(
+    data: Path,
+    model: str,
+    out: Path,
+    *,
+    landmarks: Path | None = None,
+    landmarks_of: str | Sequence[str] | None = None,
+    cameras: int | Sequence[int] | None = None,
+    noise: float | None = None,
+    identities: int = 100,
+    expressions: int = 100,
+    seed: int = 1,
+    truth: Path | None = None,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Fit a head model to the landmarks of a capture.
+
+    Args:
+        data: Folder of the capture: transforms.json or transforms_train.json with its cameras, and landmarks.csv.
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        out: Folder to write.
+        landmarks: Landmarks: a table as landmarks.csv, or a folder of iBUG's .pts named as the pictures [default: DATA/landmarks.csv].
+        landmarks_of: Landmarks of one camera as written by OpenFace, or by MediaPipe as columns x_0, y_0, ...; may be repeated.
+        cameras: Use only these cameras.
+        noise: Standard deviation of the landmarks' coordinates in pixels [default: estimated].
+        identities: Fit at most this many shapes of the identity basis.
+        expressions: Fit at most this many shapes of the expression basis.
+        seed: Seed of a built-in head.
+        truth: Compare the mesh with that of the true head, which `srflow avatar capture` wrote into this folder; may be DATA itself.
+        force: Overwrite an earlier fit in the folder.
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("landmarks_of", "cameras"):
+        settings[name] = _listed(settings[name])
+    return _run("avatar fit", settings)
+
+
+def avatar_train(
+    out: Path | None = None,
+    config: Path | None = None,
+    *,
+    data: Path | None = None,
+    resume: Path | None = None,
+    model: str | None = None,
+    subject: int | None = None,
+    print_config: bool = False,
+    checkpoint_every: float = 2,
+    stop_after: int | None = None,
+    iterations: int | None = None,
+    seed: int | None = None,
+    strategy: str | None = None,
+    antialiased: bool = False,
+    faithful: bool = False,
+    set: dict[str, Any] | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Train an avatar of 3D Gaussians on a capture.
+
+    Args:
+        out: Folder of the run, new or empty.
+        config: Preset (gaussian-avatars, cpu) or TOML file to start from [default: gaussian-avatars].
+        data: Folder of the capture, as VHAP exports it.
+        resume: Continue the run in this folder from its last checkpoint; give DATA and --model if its capture and head model have moved.
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model) [default: the one that head.json of the capture names].
+        subject: Seed of the person, of a built-in head [default: that in head.json of the capture, else 1].
+        print_config: Print the configuration with every key instead of training, as TOML or JSON.
+        checkpoint_every: Least time between two checkpoints.
+        stop_after: Stop after this iteration, or up to 100 later, with a checkpoint, from which --resume continues.
+        iterations: Number of iterations, one picture each.
+        seed: Random seed.
+        strategy: How Gaussians are added and removed: default (3D Gaussian Splatting), absgs or mcmc.
+        antialiased: Render Gaussians smaller than a pixel antialiased; see docs/guides/rasterize.md.
+        faithful: Keep the defects of GaussianAvatars' code, listed in docs/guides/fit-and-train-avatars.md.
+        set: Any key of the configuration, e.g. ssim_weight=0.1 or density.until=15000.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("avatar train", settings)
+
+
+def avatar_eval(
+    avatar: str,
+    capture: Path,
+    out: Path | None = None,
+    *,
+    split: str | Sequence[str] | None = None,
+    flow: bool = False,
+    step: int | Sequence[int] | None = None,
+    truth: Path | None = None,
+    limit: int | None = None,
+    background: str | None = None,
+    faithful: bool = False,
+    sort_per_pixel: bool = False,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Score a trained avatar on its capture: its pictures, and how exact its flow is.
+
+    Args:
+        avatar: Folder of the avatar, or of its training; DIR@HEAD where no head.json names its head model.
+        capture: Folder of the capture that it was trained on.
+        out: Also write eval.json, report.html and pictures into this folder.
+        split: Pictures to score: val (held-out camera), test (held-out timesteps), train.
+        flow: Also compare the avatar's flow and mesh with the true ones.
+        step: Timesteps between the two pictures of a pair.
+        truth: The capture whose head is the true one, if CAPTURE was fitted to its pictures [default: CAPTURE].
+        limit: Score N pictures of each split and N pairs of each split and step, drawn at random, the same in every run.
+        background: Colour behind the head in the pictures: white, black, #rrggbb or R,G,B (0 to 255 each) [default: that of the training, if AVATAR is one, else white].
+        faithful: Give cameras no principal point and one focal length, as GaussianAvatars does; on for a training that did.
+        sort_per_pixel: Sort the Gaussians at each pixel; on for a training that did.
+        force: Overwrite these files.
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("split", "step"):
+        settings[name] = _listed(settings[name])
+    return _run("avatar eval", settings)
+
+
+def avatar_mesh(
+    model: str,
+    output: Path,
+    *,
+    params: Path | None = None,
+    action_units: str | None = None,
+    timestep: int = 0,
+    seed: int = 1,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Write the mesh of a head model in some shape and pose.
+
+    Args:
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        output: File to write: .obj, .ply or .glb.
+        params: Parameters, .npz or .json [default: the head at rest].
+        action_units: Action units instead of parameters, 0 to 1 each, such as 6=0.5,12_L=1.
+        timestep: Timestep of the parameters, from 0.
+        seed: Seed of a built-in head.
+        force: Overwrite the file.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("avatar mesh", settings)
+
+
+def avatar_export(
+    output: Path,
+    *,
+    head: str | None = None,
+    motion: str | None = None,
+    timestep: int | None = None,
+    action_units: str | None = None,
+    seed: int = 1,
+    no_mesh: bool = False,
+    animate: int | None = None,
+    fps: int = 25,
+    camera: Path | None = None,
+    size: str | None = None,
+    ply_up: str = "y",
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Write the Gaussians of a head in some pose, for viewers and other programs.
+
+    Args:
+        output: File to write: .ply, .splat, .spz or .glb.
+        head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        motion: Motion of the head: `own` (the one that an avatar was trained on), a flame_param.npz or capture of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
+        timestep: Timestep of the motion in this frame, from 0.
+        action_units: Action units in place of a motion, 0 to 1 each, such as 6=0.5,12_L=1.
+        seed: Seed of the person and of the random motion, for heads that are made from one.
+        no_mesh: Leave the mesh out of a .glb.
+        animate: Move the mesh of a .glb through this many timesteps of the motion, from --timestep on.
+        fps: Timesteps per second of --animate.
+        camera: Cameras to write into a .glb: any file that `srflow rasterize --camera` reads.
+        size: Size of the pictures, where CAM does not store one.
+        ply_up: Direction that is up in a .ply: y, as in the world of the head, or -y, as many viewers of .ply expect it.
+        force: Overwrite the file.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("avatar export", settings)
+
+
+def avatar_units(
+    model: str,
+    *,
+    seed: int = 1,
+    output: Path | None = None,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Show how well a head model does each action unit, and write its table of units.
+
+    Args:
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        seed: Seed of a built-in head.
+        output: Table to write (.json): the weights of expressions and the turns of joints of each unit.
+        force: Overwrite the file.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("avatar units", settings)
+
+
+def mer_data(
+    datasets: str | Sequence[str],
+    *,
+    annotations: str | Sequence[str] | None = None,
+    apex_list: Path | None = None,
+    classes: str = "3",
+    allow_missing: bool = False,
+    only_key_frames: bool = False,
+    labels_only: bool = False,
+    clips: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """List micro-expression datasets: labels, counts, dropped rows with reasons, missing frames.
+
+    Args:
+        datasets: Datasets.
+        annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
+        apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
+        classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
+        allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
+        only_key_frames: Accept clips that consist of onset, apex and offset frames only.
+        labels_only: Read only the annotations; do not look for frames.
+        clips: List every clip.
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("datasets", "annotations"):
+        settings[name] = _listed(settings[name])
+    return _run("mer data", settings)
+
+
+def mer_synth(
+    out: Path,
+    *,
+    subjects: int = 12,
+    clips: int = 6,
+    side: int = 256,
+    fps: float = 200,
+    intensity: float = 1,
+    noise: float = 1,
+    drift: float = 1,
+    lighting: float = 1,
+    seed: int = 1,
+    flow_format: str = "flo",
+    shard: str = "1/1",
+    stop_after: int | None = None,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Render a labelled micro-expression dataset with the built-in heads.
+
+    Args:
+        out: Folder of the dataset.
+        subjects: Number of subjects.
+        clips: Clips per subject; negative, positive and surprise alternate.
+        side: Width and height of the frames in pixels.
+        fps: Frames per second.
+        intensity: Strength of the expressions; 1 is 12 to 40 % of an action unit's full strength.
+        noise: Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness.
+        drift: Head drift; 1 is up to a tenth of a degree and 0.15 mm to either side within a clip.
+        lighting: Illumination changes; 1 is up to 2 % slowly, with a gradient over the face, and 0.3 % of flicker at 100 Hz.
+        seed: Random seed.
+        flow_format: File format of the true flow.
+        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        stop_after: Stop after N pairs, clips or timesteps; the same command continues.
+        force: Delete the dataset in the folder and start over.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("mer synth", settings)
+
+
+def mer_apex(
+    datasets: str | Sequence[str],
+    out: Path | None = None,
+    *,
+    rule: str = "strain",
+    method: str = "srflow",
+    force: bool = False,
+    annotations: str | Sequence[str] | None = None,
+    apex_list: Path | None = None,
+    classes: str = "3",
+    allow_missing: bool = False,
+    only_key_frames: bool = False,
+    face: str | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
+    face_box: str | None = None,
+    landmarks: Path | None = None,
+    refine: bool = False,
+    weights: str | None = None,
+    iters: str | None = None,
+    set: dict[str, Any] | None = None,
+    precision: str = "f32",
+    attention_tolerance: float | None = None,
+    device: str = "cpu",
+    tile: str | None = None,
+    tile_overlap: int = 128,
+    scale: float | None = None,
+    pyr_scale: float | None = None,
+    levels: int | None = None,
+    winsize: int | None = None,
+    iterations: int | None = None,
+    poly_n: int | None = None,
+    poly_sigma: float | None = None,
+    farneback_gaussian: bool = False,
+    tau: float | None = None,
+    lambda_: float | None = None,
+    theta: float | None = None,
+    nscales: int | None = None,
+    warps: int | None = None,
+    epsilon: float | None = None,
+    inner_iterations: int | None = None,
+    outer_iterations: int | None = None,
+    scale_step: float | None = None,
+    gamma: float | None = None,
+    median_filtering: int | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Spot apex frames, and compare them with the annotated ones.
+
+    Args:
+        datasets: Datasets.
+        out: Write the apex frames as a CSV list.
+        rule: Rule: ratio or strain.
+        method: For the rule `strain`. How to estimate the flow: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; a network followed by its weights, as in raft=FILE; srflow has its own.
+        force: Overwrite an existing list.
+        annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
+        apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
+        classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
+        allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
+        only_key_frames: Accept clips that consist of onset, apex and offset frames only.
+        face: Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats the run without them.
+        face_index: Which face, where several are found: 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or a .whl file, or a folder with its files face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
+        landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
+        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
+        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
+        device: Device to compute on; this build has cpu.
+        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
+        scale: Resize the frames by this factor first, and the flow back.
+        pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
+        levels: Pyramid levels in addition to the full size [default: 5].
+        winsize: Side of the averaging window in pixels [default: 13].
+        iterations: Iterations at each level [default: 10].
+        poly_n: Radius of the polynomial fit in pixels [default: 5].
+        poly_sigma: Standard deviation of the fit's weight in pixels [default: 1.1].
+        farneback_gaussian: Use a Gaussian averaging window in place of a box.
+        tau: Time step of the dual update [default: 0.25].
+        lambda_: Weight of the data term; smaller is smoother [default: 0.15].
+        theta: Tightness of the coupling of data term and smoothness [default: 0.3].
+        nscales: Number of scales [default: 5].
+        warps: Warps at each scale [default: 5].
+        epsilon: Stop iterating when the flow changes by less than this, in pixels [default: 0.01].
+        inner_iterations: Iterations between two median filters [default: 30].
+        outer_iterations: Median filters after each warp [default: 10].
+        scale_step: Size of a scale relative to the next finer one [default: 0.8].
+        gamma: Weight of an additional brightness change; 0 disables it [default: 0].
+        median_filtering: Side of the median filter, 3 or 5 pixels, or 1 for none [default: 5].
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("datasets", "annotations"):
+        settings[name] = _listed(settings[name])
+    settings["lambda"] = settings.pop("lambda_")
+    return _run("mer apex", settings)
+
+
+def mer_strain(
+    onset: Path,
+    apex: Path,
+    out: Path,
+    *,
+    features: Path | None = None,
+    viz: Path | None = None,
+    viz_max: float | None = None,
+    method: str = "srflow",
+    formula: str = "literature",
+    resize: str = "before",
+    size: str = "112x112",
+    force: bool = False,
+    refine: bool = False,
+    weights: str | None = None,
+    iters: str | None = None,
+    set: dict[str, Any] | None = None,
+    precision: str = "f32",
+    attention_tolerance: float | None = None,
+    device: str = "cpu",
+    tile: str | None = None,
+    tile_overlap: int = 128,
+    scale: float | None = None,
+    pyr_scale: float | None = None,
+    levels: int | None = None,
+    winsize: int | None = None,
+    iterations: int | None = None,
+    poly_n: int | None = None,
+    poly_sigma: float | None = None,
+    farneback_gaussian: bool = False,
+    tau: float | None = None,
+    lambda_: float | None = None,
+    theta: float | None = None,
+    nscales: int | None = None,
+    warps: int | None = None,
+    epsilon: float | None = None,
+    inner_iterations: int | None = None,
+    outer_iterations: int | None = None,
+    scale_step: float | None = None,
+    gamma: float | None = None,
+    median_filtering: int | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Compute the optical strain between two frames.
+
+    Args:
+        onset: Onset frame.
+        apex: Apex frame.
+        out: Strain as .npy array of shape (H, W).
+        features: Also write u, v and strain, as .npy array of shape (3, 112, 112).
+        viz: Draw the strain: black is zero, white the largest.
+        viz_max: Strain drawn white [default: the largest].
+        method: How to estimate the flow: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; a network followed by its weights, as in raft=FILE; srflow has its own.
+        formula: Formula: literature or off-tanet.
+        resize: Resize the frames to 112x112 before the flow is estimated, or the flow after.
+        size: Size of the result.
+        force: Overwrite existing files.
+        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
+        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
+        device: Device to compute on; this build has cpu.
+        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
+        scale: Resize the frames by this factor first, and the flow back.
+        pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
+        levels: Pyramid levels in addition to the full size [default: 5].
+        winsize: Side of the averaging window in pixels [default: 13].
+        iterations: Iterations at each level [default: 10].
+        poly_n: Radius of the polynomial fit in pixels [default: 5].
+        poly_sigma: Standard deviation of the fit's weight in pixels [default: 1.1].
+        farneback_gaussian: Use a Gaussian averaging window in place of a box.
+        tau: Time step of the dual update [default: 0.25].
+        lambda_: Weight of the data term; smaller is smoother [default: 0.15].
+        theta: Tightness of the coupling of data term and smoothness [default: 0.3].
+        nscales: Number of scales [default: 5].
+        warps: Warps at each scale [default: 5].
+        epsilon: Stop iterating when the flow changes by less than this, in pixels [default: 0.01].
+        inner_iterations: Iterations between two median filters [default: 30].
+        outer_iterations: Median filters after each warp [default: 10].
+        scale_step: Size of a scale relative to the next finer one [default: 0.8].
+        gamma: Weight of an additional brightness change; 0 disables it [default: 0].
+        median_filtering: Side of the median filter, 3 or 5 pixels, or 1 for none [default: 5].
+        callback: Called with progress.
+    """
+    settings = locals()
+    settings["lambda"] = settings.pop("lambda_")
+    return _run("mer strain", settings)
+
+
+def mer_features(
+    data: str | Sequence[str],
+    out: Path,
+    *,
+    method: str | Sequence[str] | None = None,
+    force: bool = False,
+    cache: Path | None = None,
+    annotations: str | Sequence[str] | None = None,
+    apex_list: Path | None = None,
+    classes: str = "3",
+    allow_missing: bool = False,
+    only_key_frames: bool = False,
+    apex: str | None = None,
+    strain: str = "literature",
+    resize: str = "before",
+    face: str | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
+    face_box: str | None = None,
+    landmarks: Path | None = None,
+    refine: bool = False,
+    weights: str | None = None,
+    iters: str | None = None,
+    set: dict[str, Any] | None = None,
+    precision: str = "f32",
+    attention_tolerance: float | None = None,
+    device: str = "cpu",
+    tile: str | None = None,
+    tile_overlap: int = 128,
+    scale: float | None = None,
+    pyr_scale: float | None = None,
+    levels: int | None = None,
+    winsize: int | None = None,
+    iterations: int | None = None,
+    poly_n: int | None = None,
+    poly_sigma: float | None = None,
+    farneback_gaussian: bool = False,
+    tau: float | None = None,
+    lambda_: float | None = None,
+    theta: float | None = None,
+    nscales: int | None = None,
+    warps: int | None = None,
+    epsilon: float | None = None,
+    inner_iterations: int | None = None,
+    outer_iterations: int | None = None,
+    scale_step: float | None = None,
+    gamma: float | None = None,
+    median_filtering: int | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Write flow and strain of every clip as one NumPy archive, for your own classifiers.
+
+    Args:
+        data: Datasets.
+        out: Archive to write.
+        method: How to estimate the flow from onset to apex: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
+        force: Overwrite an existing archive.
+        cache: Folder that caches each clip's features, shared with `srflow mer run` [default: none].
+        annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
+        apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
+        classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
+        allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
+        only_key_frames: Accept clips that consist of onset, apex and offset frames only.
+        apex: How to spot the apex of clips without one: ratio or strain.
+        strain: Formula of the optical strain: literature or off-tanet.
+        resize: Resize the frames to 112x112 before the flow is estimated, or the flow after.
+        face: Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats the run without them.
+        face_index: Which face, where several are found: 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or a .whl file, or a folder with its files face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
+        landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
+        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
+        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
+        device: Device to compute on; this build has cpu.
+        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
+        scale: Resize the frames by this factor first, and the flow back.
+        pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
+        levels: Pyramid levels in addition to the full size [default: 5].
+        winsize: Side of the averaging window in pixels [default: 13].
+        iterations: Iterations at each level [default: 10].
+        poly_n: Radius of the polynomial fit in pixels [default: 5].
+        poly_sigma: Standard deviation of the fit's weight in pixels [default: 1.1].
+        farneback_gaussian: Use a Gaussian averaging window in place of a box.
+        tau: Time step of the dual update [default: 0.25].
+        lambda_: Weight of the data term; smaller is smoother [default: 0.15].
+        theta: Tightness of the coupling of data term and smoothness [default: 0.3].
+        nscales: Number of scales [default: 5].
+        warps: Warps at each scale [default: 5].
+        epsilon: Stop iterating when the flow changes by less than this, in pixels [default: 0.01].
+        inner_iterations: Iterations between two median filters [default: 30].
+        outer_iterations: Median filters after each warp [default: 10].
+        scale_step: Size of a scale relative to the next finer one [default: 0.8].
+        gamma: Weight of an additional brightness change; 0 disables it [default: 0].
+        median_filtering: Side of the median filter, 3 or 5 pixels, or 1 for none [default: 5].
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("data", "method", "annotations"):
+        settings[name] = _listed(settings[name])
+    settings["lambda"] = settings.pop("lambda_")
+    return _run("mer features", settings)
+
+
+def mer_run(
+    data: str | Sequence[str],
+    out: Path,
+    *,
+    method: str | Sequence[str] | None = None,
+    classifier: str = "off-tanet",
+    sets: str = "both",
+    force: bool = False,
+    cache: Path | None = None,
+    epochs: int = 201,
+    record_every: int = 20,
+    batch: int = 64,
+    learning_rate: float = 0.00065,
+    seed: int = 0,
+    shard: str = "1/1",
+    annotations: str | Sequence[str] | None = None,
+    apex_list: Path | None = None,
+    classes: str = "3",
+    allow_missing: bool = False,
+    only_key_frames: bool = False,
+    apex: str | None = None,
+    strain: str = "literature",
+    resize: str = "before",
+    face: str | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
+    face_box: str | None = None,
+    landmarks: Path | None = None,
+    rows: str | None = None,
+    weights_dir: Path = ".",
+    skip_missing: bool = False,
+    refine: bool = False,
+    weights: str | None = None,
+    iters: str | None = None,
+    set: dict[str, Any] | None = None,
+    precision: str = "f32",
+    attention_tolerance: float | None = None,
+    device: str = "cpu",
+    tile: str | None = None,
+    tile_overlap: int = 128,
+    scale: float | None = None,
+    pyr_scale: float | None = None,
+    levels: int | None = None,
+    winsize: int | None = None,
+    iterations: int | None = None,
+    poly_n: int | None = None,
+    poly_sigma: float | None = None,
+    farneback_gaussian: bool = False,
+    tau: float | None = None,
+    lambda_: float | None = None,
+    theta: float | None = None,
+    nscales: int | None = None,
+    warps: int | None = None,
+    epsilon: float | None = None,
+    inner_iterations: int | None = None,
+    outer_iterations: int | None = None,
+    scale_step: float | None = None,
+    gamma: float | None = None,
+    median_filtering: int | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Recognize micro-expressions with leave-one-subject-out cross-validation, and write the paper's tables.
+
+    Args:
+        data: Datasets.
+        out: Folder for tables.{txt,csv,tex,md}, folds.csv, confusions.csv, predictions.csv, results.json and report.html.
+        method: How to estimate the flow from onset to apex: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
+        classifier: Classifier of the features.
+        sets: Train on each dataset, on all together, or both.
+        force: Overwrite these files.
+        cache: Folder that caches features, for other runs too [default: features in --out].
+        epochs: Epochs: passes over the training clips.
+        record_every: Epochs between two recordings of the predictions.
+        batch: Batch size in clips.
+        learning_rate: Initial learning rate of Adam; it is multiplied by 0.3 every 60 epochs.
+        seed: Seed of the initial parameters, the order of clips and dropout.
+        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
+        apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
+        classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
+        allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
+        only_key_frames: Accept clips that consist of onset, apex and offset frames only.
+        apex: How to spot the apex of clips without one: ratio or strain.
+        strain: Formula of the optical strain: literature or off-tanet.
+        resize: Resize the frames to 112x112 before the flow is estimated, or the flow after.
+        face: Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats the run without them.
+        face_index: Which face, where several are found: 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or a .whl file, or a folder with its files face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
+        landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
+        rows: Methods with their names and weights: a TOML file, or one of paper-table-2, paper-table-3, paper-table-4, paper-table-6, paper-tables-7-to-10.
+        weights_dir: Folder that the weights of --rows are looked for in.
+        skip_missing: Leave out rows whose weights, or whose networks in this version, are missing, and say so in the table.
+        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
+        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
+        device: Device to compute on; this build has cpu.
+        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
+        scale: Resize the frames by this factor first, and the flow back.
+        pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
+        levels: Pyramid levels in addition to the full size [default: 5].
+        winsize: Side of the averaging window in pixels [default: 13].
+        iterations: Iterations at each level [default: 10].
+        poly_n: Radius of the polynomial fit in pixels [default: 5].
+        poly_sigma: Standard deviation of the fit's weight in pixels [default: 1.1].
+        farneback_gaussian: Use a Gaussian averaging window in place of a box.
+        tau: Time step of the dual update [default: 0.25].
+        lambda_: Weight of the data term; smaller is smoother [default: 0.15].
+        theta: Tightness of the coupling of data term and smoothness [default: 0.3].
+        nscales: Number of scales [default: 5].
+        warps: Warps at each scale [default: 5].
+        epsilon: Stop iterating when the flow changes by less than this, in pixels [default: 0.01].
+        inner_iterations: Iterations between two median filters [default: 30].
+        outer_iterations: Median filters after each warp [default: 10].
+        scale_step: Size of a scale relative to the next finer one [default: 0.8].
+        gamma: Weight of an additional brightness change; 0 disables it [default: 0].
+        median_filtering: Side of the median filter, 3 or 5 pixels, or 1 for none [default: 5].
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("data", "method", "annotations"):
+        settings[name] = _listed(settings[name])
+    settings["lambda"] = settings.pop("lambda_")
+    return _run("mer run", settings)
+
+
+def mer_tables(
+    predictions: Path,
+    out: Path | None = None,
+    *,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Recompute all tables from the predictions of a run.
+
+    Args:
+        predictions: Predictions of one or several methods.
+        out: Also write tables.{txt,csv,tex,md}, folds.csv and confusions.csv into this folder.
+        force: Overwrite these files.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("mer tables", settings)
+
+
+__all__ = ["ablation", "avatar_capture", "avatar_eval", "avatar_export", "avatar_fit", "avatar_import", "avatar_mesh", "avatar_train", "avatar_units", "check", "convert", "demo", "device", "device_network", "device_rasterizer", "eval", "figure", "flow", "mer_apex", "mer_data", "mer_features", "mer_run", "mer_strain", "mer_synth", "mer_tables", "merge", "metrics", "models", "models_export", "models_inspect", "pack", "rasterize", "render", "shapes", "train", "view"]

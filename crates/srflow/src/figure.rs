@@ -495,7 +495,9 @@ impl FigureJob {
         formats: &[Format],
     ) -> anyhow::Result<Plan> {
         if methods.iter().any(|method| method == "truth") {
-            wrong_settings!("`truth` is the true flow: give the method another name, as in `flow` NAME=FLOW");
+            wrong_settings!(
+                "`flow` truth: this name is for the true flow; give the method another one, as in `flow` NAME=FLOW"
+            );
         }
         let columns = match resolve(columns, &methods) {
             Ok(columns) => columns,

@@ -125,7 +125,7 @@ fn parts_of_scenes_and_of_clips_merge_too() {
             )
         };
         make("whole", "1/1");
-        assert!(make("one", "1/2").contains("`srflow merge` brings parts together"));
+        assert!(make("one", "1/2").contains("`srflow merge` joins parts"));
         make("two", "2/2");
         let merged = at("merged");
         succeeds(&merge(&[&at("one"), &at("two")], &merged, &[]));

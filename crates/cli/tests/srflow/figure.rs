@@ -160,7 +160,7 @@ fn what_cannot_be_shown_is_refused_in_a_sentence() {
         (&frames, &["--flow", "none.flo"], 1, &["none.flo"]),
         (&frames, &["--flow", "=a.flo"], 2, &["NAME=FLOW"]),
         (&frames, &["--flow", "a.flo", "a=b.npy"], 2, &["two methods have the name a"]),
-        (&frames, &["--flow", "truth=a.flo"], 2, &["`truth` is the true flow"]),
+        (&frames, &["--flow", "truth=a.flo"], 2, &["--flow truth: this name is for the true flow"]),
         (&frames, &["--method", "files:set"], 2, &["--flow NAME=FLOW"]),
         (
             &["--frames", "set/p0_img1.png", "wide.png"],

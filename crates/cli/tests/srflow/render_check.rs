@@ -210,7 +210,7 @@ fn wrong_arguments_are_reported_before_any_work() {
             2,
             "--splits 0.5,0.1,0.1: expected three shares from 0 to 1 that sum to 1",
         ),
-        (&["--splits", "0.5,0.5"], 2, "expected three shares TRAIN,VAL,TEST"),
+        (&["--splits", "0.5,0.5"], 2, "expected 3 numbers between commas"),
         (&["--size", "0x10"], 2, "expected WIDTHxHEIGHT"),
         (&["--size", "99999999x99999999"], 2, "--size 99999999x99999999"),
         (&["--size", "big"], 2, "expected WIDTHxHEIGHT"),

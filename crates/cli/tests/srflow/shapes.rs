@@ -42,7 +42,7 @@ fn generic_pairs_are_made_continued_and_scored() {
 fn mistakes_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    refuses(&shapes(folder, &["--motion", "3"]), 2, &["two lengths in pixels, e.g. 0.25,32, found `3`"]);
+    refuses(&shapes(folder, &["--motion", "3"]), 2, &["expected 2 numbers between commas, found `3`"]);
     refuses(&shapes(folder, &["--motion", "3,1"]), 2, &["--motion 3,1", "the shorter first"]);
     refuses(&shapes(folder, &["--textures", "nowhere"]), 1, &["--textures nowhere", "a folder of images"]);
     std::fs::create_dir(folder.join("empty")).unwrap();

@@ -35,7 +35,7 @@ fn safe_line(line: &str) -> String {
             Some((numbers, rest)) if numbers.chars().all(|c| c.is_ascii_digit() || c == ';') => {
                 safe += &format!("\u{1b}[{numbers}m{}", printable(rest));
             }
-            _ => safe += &printable(&format!("\u{1b}[{piece}")).to_string(),
+            _ => safe += &printable(&format!("\u{1b}[{piece}")),
         }
     }
     safe

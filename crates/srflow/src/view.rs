@@ -113,7 +113,7 @@ impl Job for ViewJob {
         match self.serve {
             Some(port) => {
                 let server = Server::new(port)?;
-                Ok(Viewed::Served(Served { url: server.url(), server, view, limit }))
+                Ok(Viewed::Served(Box::new(Served { url: server.url(), server, view, limit })))
             }
             None => {
                 let html = view.page(limit, watch)?.html();
@@ -131,7 +131,7 @@ pub enum Viewed {
     /// A page in a file.
     Written(Written),
     /// A page that [`Viewed::serve`] serves.
-    Served(Served),
+    Served(Box<Served>),
 }
 
 /// A page in a file.
@@ -161,7 +161,7 @@ impl fmt::Display for Viewed {
             Self::Written(Written { page, bytes }) => {
                 writeln!(f, "{} ({:.1} MB): open it in a browser", page.display(), *bytes as f64 / 1e6)
             }
-            Self::Served(Served { url, .. }) => writeln!(f, "{url}: open it in a browser; Ctrl-C ends"),
+            Self::Served(served) => writeln!(f, "{}: open it in a browser; Ctrl-C ends", served.url),
         }
     }
 }
@@ -174,7 +174,8 @@ impl Viewed {
     pub fn serve(&self) -> Result<(), Error> {
         match self {
             Self::Written(_) => Ok(()),
-            Self::Served(Served { server, view, limit, .. }) => {
+            Self::Served(served) => {
+                let Served { server, view, limit, .. } = &**served;
                 Ok(server.run(|name| view.answer(name, *limit)).map_err(anyhow::Error::from)?)
             }
         }

@@ -142,7 +142,7 @@ fn kind(argument: &Arg) -> String {
         (value_parser!(usize).into(), "int"),
         (value_parser!(f32).into(), "float"),
         (value_parser!(f64).into(), "float"),
-        (value_parser!(PathBuf).into(), "Path"),
+        (value_parser!(PathBuf), "Path"),
     ];
     let own = argument.get_value_parser().type_id();
     let known = parsers.iter().find(|(parser, _)| parser.type_id() == own).map(|(_, kind)| *kind);

@@ -380,7 +380,7 @@ fn made_data_that_cannot_be_made_says_why() {
         ("shapes:", "data.shapes.motion=[5, 1]", &["data.shapes.motion = 5,1: expected two lengths"]),
         ("shapes:", "data.shapes.textures=dir", &["data.shapes.textures: unknown key", "motion, "]),
         ("rendered:", "data.rendered.background=#12", &["data.rendered.background: `#12`"]),
-        ("rendered:", "data.rendered.motion=5", &["data.rendered.motion: integer `5`"]),
+        ("rendered:", "data.rendered.motion=5", &["5: No such file or directory"]),
         ("rendered:", "data.rendered.noise=4", &["data.rendered.noise: unknown key", "background, "]),
         (
             "rendered:",

@@ -210,7 +210,7 @@ pub struct EstimatedPair {
 #[serde(untagged)]
 pub enum FlowReport {
     /// Two frames, a folder of frames or a video.
-    Sequence(SequenceReport),
+    Sequence(Box<SequenceReport>),
     /// Several folders or videos.
     Sequences(Rendered<Sequences>),
 }
@@ -328,7 +328,7 @@ impl Job for FlowJob {
             if shard.shard != Shard::WHOLE {
                 wrong_settings!("`shard` divides several videos or folders of frames: give two or more");
             }
-            return Ok(FlowReport::Sequence(estimate(&job, watch)?));
+            return Ok(FlowReport::Sequence(Box::new(estimate(&job, watch)?)));
         }
         if let Some(video) = self.viz.as_deref().filter(|viz| is_video(viz)) {
             wrong_settings!(

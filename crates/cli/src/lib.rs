@@ -87,7 +87,6 @@ pub fn command() -> clap::Command {
 /// Runs the command with the arguments of a process, of which the first is its name, and returns its exit code.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
-    notes::start();
     let cli = match parsed(&arguments) {
         Ok(cli) => cli,
         Err(error) => {
@@ -105,6 +104,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         return fail(&anyhow::anyhow!("starting {threads} threads: {error}"), &cli.context);
     }
     let context = cli.context;
+    notes::start(&context.options);
     let json = context.json;
     interrupt::watch(move |text| {
         note!("{text}");

@@ -47,6 +47,11 @@ pub fn in_options(error: &anyhow::Error, options: &[String]) -> String {
         Some(setting) => format!("`{}` {}: expected {}", setting.name(), setting.found, setting.expected),
         None => srflow::error::in_words(error),
     };
+    with_options(text, options)
+}
+
+/// The text with settings as options.
+pub fn with_options(text: String, options: &[String]) -> String {
     options.iter().fold(text, |text, option| {
         text.replace(&format!("`{}`", option.replace('-', "_")), &format!("--{option}"))
     })

@@ -216,7 +216,7 @@ impl Settings {
         let empty = (0..3).filter(|&part| lacks(self.scenes, part));
         let enough = (self.scenes..=MAX_SCENES).find(|&scenes| (0..3).all(|part| !lacks(scenes, part)));
         let advice = enough.map_or("give it a larger share with `splits`".to_owned(), |scenes| {
-            format!("`scenes` = {scenes} gives each split at least one, or change `splits`")
+            format!("`scenes` {scenes} gives each split at least one, or change `splits`")
         });
         let note = |part: usize| {
             let (split, share) = (SceneSplit::ALL[part], self.splits[part]);
@@ -458,8 +458,7 @@ mod tests {
     fn splits_that_get_no_scene_are_named() {
         let notes = Settings { scenes: 3, ..Settings::default() }.empty_splits();
         assert!(notes.len() == 1 && notes[0].contains("the val split is empty"), "{notes:?}");
-        let enough =
-            notes[0].split("`scenes` = ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+        let enough = notes[0].split("`scenes` ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
         assert!(Settings { scenes: enough, ..Settings::default() }.empty_splits().is_empty());
         assert!(!Settings { scenes: enough - 1, ..Settings::default() }.empty_splits().is_empty());
         let wanted = Settings { scenes: 1, splits: Numbers([1.0, 0.0, 0.0]), ..Settings::default() };

@@ -34,7 +34,7 @@ pub enum RenderError {
     #[error("{0}")]
     Setting(#[from] SettingError),
     /// The file or folder of a setting cannot be read.
-    #[error("{field} {}: {error}; expected {expected}", .path.display())]
+    #[error("`{field}` {}: {error}; expected {expected}", .path.display())]
     Folder {
         /// Name of the setting.
         field: &'static str,

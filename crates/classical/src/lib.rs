@@ -4,11 +4,9 @@
 
 mod farneback;
 mod planar;
-mod refined;
 mod tvl1;
 
 pub use farneback::{Farneback, FarnebackParameters};
-pub use refined::Refined;
 pub use tvl1::{TvL1, TvL1Parameters};
 
 /// A parameter is out of range.

@@ -129,7 +129,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Rasterize(args) => run::run(&args, &context),
         Command::Models(args) => commands::models::run(args, &context),
         Command::Device(args) => commands::device::run(args, &context),
-        Command::View(args) => run::reported(&args, &context).and_then(|viewed| Ok(viewed.serve()?)),
+        Command::View(args) => run::run(&args, &context),
         Command::Check(args) => run::run(&args, &context),
         Command::Merge(args) => run::run(&args, &context),
     };

@@ -15,11 +15,6 @@ use crate::progress::{Lines, bar};
 /// # Errors
 /// Those of the job, what its report says is wrong, and when standard output cannot be written to.
 pub fn run<J: Job>(job: &J, context: &Context) -> anyhow::Result<()> {
-    reported(job, context).map(drop)
-}
-
-/// As [`run`]; returns the report.
-pub fn reported<J: Job>(job: &J, context: &Context) -> anyhow::Result<J::Report> {
     let report = watched(job)?;
     print(&report, context)?;
     match job.when_stopped() {
@@ -27,9 +22,12 @@ pub fn reported<J: Job>(job: &J, context: &Context) -> anyhow::Result<J::Report>
         WhenStopped::Saved if report.stopped() => exit_stopped()?,
         _ => exit_if_stopped(report.stopped())?,
     }
-    match report.failure() {
-        Some(failure) => Err(anyhow::Error::msg(failure)),
-        None => Ok(report),
+    if let Some(failure) = report.failure() {
+        return Err(anyhow::Error::msg(failure));
+    }
+    match report.follow_up() {
+        Some(follow_up) => Ok(follow_up(&interrupt::requested)?),
+        None => Ok(()),
     }
 }
 

@@ -1,6 +1,7 @@
 //! The description of a flow method that results store.
 
 use serde::Serialize;
+use serde_json::Value;
 
 /// A flow method with everything that its flow of two frames depends on.
 #[derive(Debug, Clone, Serialize)]
@@ -24,15 +25,13 @@ pub struct MethodRecord {
     /// The device of a network.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
+    /// What the flow depends on: equal for two methods exactly when they compute the same flow, whatever their names and the
+    /// paths of their weights.
+    #[serde(skip)]
+    pub identity: Value,
 }
 
 impl MethodRecord {
-    /// Equal for two methods exactly when they compute the same flow, whatever their names and the paths of their weights.
-    pub fn identity(&self) -> String {
-        let Self { method, parameters, sha256, .. } = self;
-        format!("{method} {parameters} {}", sha256.as_deref().unwrap_or_default())
-    }
-
     /// Method, parameters and weights as text.
     pub fn description(&self) -> String {
         let weights = match (&self.weights, &self.sha256) {

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::Serialize;
 use srflow_core::Image;
 
 use crate::FaceError;
@@ -53,7 +54,7 @@ impl fmt::Display for FaceBox {
 srflow_core::serialize_as_text!(FaceBox);
 
 /// A crop, the same for all frames of a clip: separate ones would add the noise of landmarks to the motion.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub enum FrameCrop {
     /// Not at all.
     Whole,

@@ -127,7 +127,7 @@ pub fn write_landmarks<'a>(
     }
     let text = csv.into_inner().map_err(|error| failed(error.into_error().into()))?;
     if !force && path.exists() && read_file(path, FileKind::Table)? != text {
-        let reason = "holds something else; set `force` to overwrite it, or another name".to_owned();
+        let reason = "holds something else; give `force` to overwrite it, or another name".to_owned();
         return Err(FaceError::Landmarks { path: path.to_owned(), reason });
     }
     Ok(write_atomically(path, |file| std::io::Write::write_all(file, &text))?)

@@ -66,6 +66,9 @@ pub struct ExtractError {
 
 #[derive(Debug, thiserror::Error)]
 pub enum ExtractProblem {
+    /// A request to stop came first.
+    #[error("stopped on request")]
+    Stopped,
     /// It has no apex.
     #[error("it has no apex frame; spot it (`apex` ratio or strain) or give a list of apex frames")]
     NoApex,
@@ -144,11 +147,15 @@ struct Extraction<'a> {
     method: &'a Method<'a>,
     preparation: &'a Preparation,
     cache: Option<&'a FeatureCache>,
+    stop: &'a (dyn Fn() -> bool + Sync),
 }
 
 impl Extraction<'_> {
     /// Looks into the cache, and if that has no features reads the faces.
     fn prepared(&self, clip: &Clip) -> Result<Prepared, ExtractProblem> {
+        if (self.stop)() {
+            return Err(ExtractProblem::Stopped);
+        }
         let apex = clip.annotation.apex.ok_or(ExtractProblem::NoApex)?;
         let file = |number| clip.frame(number).ok_or(ExtractProblem::NoFrame(number));
         let (onset, apex) = (file(clip.annotation.onset)?, file(apex)?);
@@ -234,18 +241,20 @@ pub struct Extracted<'a> {
     pub cached: bool,
 }
 
-/// Features of every clip, in the clips' order; each clip must have an apex.
+/// Features of every clip, in the clips' order; each clip must have an apex. `stop` is asked before each clip.
 ///
 /// # Errors
-/// The error of the first clip, in order, whose frames cannot be used: no clip is left out silently.
+/// The error of the first clip, in order, whose frames cannot be used, or before which `stop` is true: no clip is left out
+/// silently.
 pub fn extract(
     clips: &[Clip],
     method: &Method,
     preparation: &Preparation,
     cache: Option<&FeatureCache>,
     on_clip: &(dyn Fn(Extracted) + Sync),
+    stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Sample>, ExtractError> {
-    let extraction = Extraction { method, preparation, cache };
+    let extraction = Extraction { method, preparation, cache, stop };
     let of = |clip: &Clip, problem| ExtractError { clip: clip.id(), problem };
     if preparation.resize == ResizeOrder::After {
         // Large frames occupy all threads one pair at a time, while the next is read.

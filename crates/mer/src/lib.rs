@@ -49,7 +49,7 @@ pub use results_folder::{
     ResultsError, ResultsFolder, ResultsRecord, TABLE_FILES, all_score_tables, write_tables,
 };
 pub use run::{
-    DataRecord, FeatureSet, RunError, RunEvent, RunFolders, RunMethod, RunResults, RunSettings, Sets,
+    DataRecord, FeatureSet, RunError, RunEvent, RunFolders, RunMethod, RunResults, RunSettings, RunWatch, Sets,
     TrainedPart, compute_features, run, run_part,
 };
 pub use strain::{StrainFormula, optical_strain, strain_colors};

@@ -33,7 +33,7 @@ pub struct ResultsFolder {
 #[derive(Debug, thiserror::Error)]
 pub enum ResultsError {
     /// Results exist already.
-    #[error("{} exists; set `force` to overwrite it, or another folder", .0.display())]
+    #[error("{} exists; give `force` to overwrite it, or another folder", .0.display())]
     Exists(PathBuf),
     /// A file could not be written.
     #[error(transparent)]

@@ -13,7 +13,7 @@ use crate::apex::{ApexRule, fill_apexes};
 use crate::cache::FeatureCache;
 use crate::clap::ValueEnum;
 use crate::classifier::ClassifierEntry;
-use crate::extract::{ExtractError, Method, Preparation, extract};
+use crate::extract::{ExtractError, ExtractProblem, Extracted, Method, Preparation, extract};
 use crate::features::Sample;
 use crate::loso::{FoldFolder, Loso, LosoError, LosoEvent};
 use crate::predictions::Trial;
@@ -97,6 +97,14 @@ pub enum RunEvent<'a> {
     },
 }
 
+/// Follows a run, and can stop it. Both functions are called from any thread.
+#[derive(Clone, Copy)]
+pub struct RunWatch<'a> {
+    pub on_event: &'a (dyn Fn(RunEvent) + Sync),
+    /// The run ends with [`RunError::Stopped`] soon after this is true; finished folds and features are kept.
+    pub stop: &'a (dyn Fn() -> bool + Sync),
+}
+
 /// Folders with reusable results.
 #[derive(Debug, Clone, Copy)]
 pub struct RunFolders<'a> {
@@ -153,6 +161,9 @@ pub struct DataRecord {
 /// Why a run failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
+    /// It was asked to stop.
+    #[error("stopped on request; the same run continues after the last finished fold")]
+    Stopped,
     /// A value of the protocol is out of range.
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
@@ -164,7 +175,7 @@ pub enum RunError {
     Subjects { set: String, found: usize },
     /// The features of a clip could not be computed.
     #[error(transparent)]
-    Extract(#[from] ExtractError),
+    Extract(ExtractError),
     /// A fold failed.
     #[error("{set}, {method}: {error}")]
     Training {
@@ -179,6 +190,15 @@ pub enum RunError {
     /// A folder cannot be created.
     #[error(transparent)]
     File(#[from] FileError),
+}
+
+impl From<ExtractError> for RunError {
+    fn from(error: ExtractError) -> Self {
+        match error.problem {
+            ExtractProblem::Stopped => Self::Stopped,
+            _ => Self::Extract(error),
+        }
+    }
 }
 
 impl RunSettings {
@@ -212,12 +232,12 @@ pub fn run(
     methods: Vec<RunMethod>,
     settings: RunSettings,
     folders: RunFolders,
-    on_event: &(dyn Fn(RunEvent) + Sync),
+    watch: RunWatch,
 ) -> Result<RunResults, RunError> {
     let (mut trials, mut outcomes) = (Vec::new(), Vec::new());
     let all = Shard::WHOLE;
     let (features, _) =
-        train_folds(datasets, &methods, &settings, folders, all, on_event, &mut |set, method, loso| {
+        train_folds(datasets, &methods, &settings, folders, all, watch, &mut |set, method, loso| {
             outcomes.push(Outcome::of(method, set, &loso)?);
             let Loso { classes, predictions, .. } = loso;
             trials.push(Trial { method: method.to_owned(), set: set.to_owned(), classes, predictions });
@@ -238,10 +258,10 @@ pub fn run_part(
     settings: &RunSettings,
     folders: RunFolders,
     part: Shard,
-    on_event: &(dyn Fn(RunEvent) + Sync),
+    watch: RunWatch,
 ) -> Result<TrainedPart, RunError> {
     let (_, part) =
-        train_folds(datasets, &methods, settings, folders, part, on_event, &mut |_, _, _| Ok(()))?;
+        train_folds(datasets, &methods, settings, folders, part, watch, &mut |_, _, _| Ok(()))?;
     Ok(part)
 }
 
@@ -252,14 +272,15 @@ fn train_folds(
     settings: &RunSettings,
     folders: RunFolders,
     part: Shard,
-    on_event: &(dyn Fn(RunEvent) + Sync),
+    watch: RunWatch,
     on_trained: &mut dyn FnMut(&str, &str, Loso) -> Result<(), RunError>,
 ) -> Result<(FeatureSet, TrainedPart), RunError> {
     settings.check(&datasets)?;
+    let on_event = watch.on_event;
     let RunSettings { classifier, preparation, protocol, classes, .. } = settings;
     let sets = sets(&datasets, settings.sets);
     let features =
-        compute_features(datasets, methods, settings.apex, preparation, Some(folders.features), on_event)?;
+        compute_features(datasets, methods, settings.apex, preparation, Some(folders.features), watch)?;
     let FeatureSet { data, samples, .. } = &features;
 
     let epochs = protocol.epochs as u64;
@@ -297,9 +318,11 @@ fn train_folds(
             let of_set: Vec<Sample> = of_set.cloned().collect();
             let folder = Some(FoldFolder { path: folders.folds, part: of_part });
             let loso =
-                classifier.leave_one_subject_out(&of_set, classes, protocol, folder, &on_fold, &|| false);
-            let loso =
-                loso.map_err(|error| RunError::Training { set: set.clone(), method: method.clone(), error })?;
+                classifier.leave_one_subject_out(&of_set, classes, protocol, folder, &on_fold, watch.stop);
+            let loso = loso.map_err(|error| match error {
+                LosoError::Stopped => RunError::Stopped,
+                error => RunError::Training { set: set.clone(), method: method.clone(), error },
+            })?;
             on_trained(set, method, loso)?;
         }
     }
@@ -329,8 +352,9 @@ pub fn compute_features(
     apex: Option<ApexRule>,
     preparation: &Preparation,
     cache: Option<&Path>,
-    on_event: &(dyn Fn(RunEvent) + Sync),
+    watch: RunWatch,
 ) -> Result<FeatureSet, RunError> {
+    let RunWatch { on_event, stop } = watch;
     let cache = cache.map(FeatureCache::open).transpose()?;
     let mut data = Vec::new();
     for dataset in &mut datasets {
@@ -349,8 +373,9 @@ pub fn compute_features(
     let mut samples: Vec<(String, Vec<Sample>)> = Vec::new();
     for RunMethod { estimator, record } in methods {
         on_event(RunEvent::Features { method: &record.name, clips: clips.len() });
-        let method = Method { estimator: *estimator, identity: record.identity() };
-        let of_method = extract(&clips, &method, preparation, cache.as_ref(), &|_| on_event(RunEvent::Clip))?;
+        let method = Method { estimator: *estimator, identity: record.identity.to_string() };
+        let on_clip = |_: Extracted| on_event(RunEvent::Clip);
+        let of_method = extract(&clips, &method, preparation, cache.as_ref(), &on_clip, stop)?;
         samples.push((record.name.clone(), of_method));
     }
     Ok(FeatureSet { data, clips, samples })

@@ -4,9 +4,7 @@
 //! that leaves the tile by more than the overlap, attention in GMA and its relatives, and the statistics of instance norm.
 //! Overlapping tiles are blended with weights that fall smoothly towards their edges.
 
-use srflow_core::{
-    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Plane, check_frame_sizes,
-};
+use srflow_core::{EstimateError, FlowEstimate, FlowField, Image, Plane};
 
 use crate::Padding;
 use crate::memory_need::MemoryNeed;
@@ -117,6 +115,16 @@ impl Tiles {
         Err(NothingFits { smallest, needed: need.bytes(smallest.0 * smallest.1), free: bytes })
     }
 
+    /// A whole frame as one tile.
+    pub(crate) fn whole(frame: (usize, usize)) -> Self {
+        Self { frame, across: vec![0], down: vec![0], size: frame }
+    }
+
+    /// Width and height of the frame.
+    pub(crate) fn frame(&self) -> (usize, usize) {
+        self.frame
+    }
+
     pub fn count(&self) -> usize {
         self.across.len() * self.down.len()
     }
@@ -132,21 +140,18 @@ impl Tiles {
     }
 
     /// The tile of a frame at this corner.
-    fn cut(&self, frame: &Image, (left, top): (usize, usize)) -> Image {
+    pub(crate) fn cut(&self, frame: &Image, (left, top): (usize, usize)) -> Image {
         frame.crop(left, top, self.size.0, self.size.1)
     }
 
     /// Blends the results of `estimate` for each tile, called with its number and its left and top.
-    fn blended(
+    pub(crate) fn blended(
         &self,
         mut estimate: impl FnMut(usize, (usize, usize)) -> Result<Vec<FlowEstimate>, EstimateError>,
     ) -> Result<Vec<FlowEstimate>, EstimateError> {
         let mut blends: Vec<Blend> = Vec::new();
         for (number, corner) in self.corners().enumerate() {
             let estimates = estimate(number, corner)?;
-            if self.count() == 1 {
-                return Ok(estimates);
-            }
             if number == 0 {
                 blends = estimates.iter().map(|of| Blend::new(self, of)).collect();
             }
@@ -260,194 +265,22 @@ impl<'a> Blend<'a> {
     }
 }
 
-/// Applies an estimator to tiles.
-pub struct Tiled {
-    estimator: Box<dyn FlowEstimator>,
-    tiling: Tiling,
-}
-
-impl Tiled {
-    pub fn new(estimator: Box<dyn FlowEstimator>, tiling: Tiling) -> Self {
-        Self { estimator, tiling }
-    }
-
-    fn tiles(&self, frame: (usize, usize)) -> Result<Tiles, EstimateError> {
-        Tiles::new(frame, self.tiling).map_err(|problem| EstimateError::Unsupported {
-            method: self.name().to_owned(),
-            reason: problem.to_string(),
-        })
-    }
-
-    /// Blends the results of `estimate` for each tile, called with that tile of every pair and its left and top.
-    fn blended(
-        &self,
-        pairs: &[[&Image; 2]],
-        estimate: impl Fn(&[[&Image; 2]], (usize, usize)) -> Result<Vec<FlowEstimate>, EstimateError>,
-    ) -> Result<Vec<FlowEstimate>, EstimateError> {
-        let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
-        check_frame_sizes(first.size(), pairs.as_flattened().iter().map(|frame| frame.size()))?;
-        let tiles = self.tiles(first.size())?;
-        tiles.blended(|_, corner| {
-            let cut: Vec<[Image; 2]> =
-                pairs.iter().map(|pair| pair.map(|frame| tiles.cut(frame, corner))).collect();
-            let cut: Vec<[&Image; 2]> = cut.iter().map(|pair| pair.each_ref()).collect();
-            estimate(&cut, corner)
-        })
-    }
-}
-
-impl FlowEstimator for Tiled {
-    fn name(&self) -> &str {
-        self.estimator.name()
-    }
-
-    fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0).flow)
-    }
-
-    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowEstimate>, EstimateError> {
-        self.blended(pairs, |tiles, _| self.estimator.estimate_pairs(tiles))
-    }
-
-    fn estimate_from(
-        &self,
-        frame1: &Image,
-        frame2: &Image,
-        initial: &FlowField,
-    ) -> Result<FlowEstimate, EstimateError> {
-        check_frame_sizes(frame1.size(), [initial.size()])?;
-        let estimates = self.blended(&[[frame1, frame2]], |tiles, (left, top)| {
-            let estimate = |[tile1, tile2]: &[&Image; 2]| {
-                let initial = initial.crop(left, top, tile1.width(), tile1.height());
-                self.estimator.estimate_from(tile1, tile2, &initial)
-            };
-            tiles.iter().map(estimate).collect()
-        });
-        Ok(estimates?.remove(0))
-    }
-
-    fn remembers(&self) -> bool {
-        self.estimator.remembers()
-    }
-
-    fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
-        Box::new(TiledSequence { tiled: self, warm_start, state: None })
-    }
-}
-
-/// A separate sequence for each tile.
-struct TiledSequence<'a> {
-    tiled: &'a Tiled,
-    warm_start: bool,
-    state: Option<(Tiles, Vec<Box<dyn FlowSequence + 'a>>)>,
-}
-
-impl FlowSequence for TiledSequence<'_> {
-    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowEstimate>, EstimateError> {
-        let frames: Vec<&Image> = frames.iter().collect();
-        self.blended(&frames, |sequence, cut| sequence.push(cut))
-    }
-
-    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
-        let estimates =
-            self.blended(&pair, |sequence, cut| Ok(vec![sequence.push_pair([&cut[0], &cut[1]])?]));
-        Ok(estimates?.remove(0))
-    }
-}
-
-impl<'a> TiledSequence<'a> {
-    /// Blends the results of `push` for the sequence and the frames of each tile.
-    fn blended(
-        &mut self,
-        frames: &[&Image],
-        push: impl Fn(&mut (dyn FlowSequence + 'a), &[Image]) -> Result<Vec<FlowEstimate>, EstimateError>,
-    ) -> Result<Vec<FlowEstimate>, EstimateError> {
-        let Some(first) = frames.first() else { return Ok(Vec::new()) };
-        if self.state.is_none() {
-            let tiles = self.tiled.tiles(first.size())?;
-            let sequence = |_| self.tiled.estimator.sequence(self.warm_start);
-            let sequences = (0..tiles.count()).map(sequence).collect();
-            self.state = Some((tiles, sequences));
-        }
-        let Some((tiles, sequences)) = &mut self.state else { return Ok(Vec::new()) };
-        check_frame_sizes(tiles.frame, frames.iter().map(|frame| frame.size()))?;
-        tiles.blended(|number, corner| {
-            let cut: Vec<Image> = frames.iter().map(|frame| tiles.cut(frame, corner)).collect();
-            push(sequences[number].as_mut(), &cut)
-        })
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// The flow is the red and green of frame 1, which [`places`] sets to x and y.
-    struct Places;
-
-    impl FlowEstimator for Places {
-        fn name(&self) -> &str {
-            "places"
-        }
-
-        fn estimate(&self, frame1: &Image, _: &Image) -> Result<FlowField, EstimateError> {
-            let flow = |x, y| frame1.get(x, y).map(f32::from);
-            Ok(FlowField::from_fn(frame1.width(), frame1.height(), |x, y| [flow(x, y)[0], flow(x, y)[1]]))
-        }
-    }
-
-    /// The flow is the number of the call, so tiles differ.
-    struct Counting(std::sync::atomic::AtomicUsize);
-
-    impl FlowEstimator for Counting {
-        fn name(&self) -> &str {
-            "counting"
-        }
-
-        fn estimate(&self, frame1: &Image, _: &Image) -> Result<FlowField, EstimateError> {
-            let number = self.0.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-            Ok(FlowField::filled(frame1.width(), frame1.height(), [number as f32, 0.0]))
-        }
-    }
 
     fn tiling(width: usize, height: usize, overlap: usize) -> Tiling {
         Tiling { size: TileSize::Fixed(width, height), overlap, alignment: Padding::Fixed(8) }
     }
 
-    fn places(width: usize, height: usize) -> Image {
-        Image::from_fn(width, height, |x, y| [x as u8, y as u8, 0])
-    }
-
-    #[test]
-    fn consistent_tiles_give_the_flow_of_the_whole_frame() {
-        for (size, tile, overlap) in
-            [((250, 131), (64, 48), 16), ((65, 240), (64, 64), 40), ((100, 90), (30, 31), 1)]
-        {
-            let frame = places(size.0, size.1);
-            let whole = Places.estimate(&frame, &frame).expect("flow");
-            let tiled = Tiled::new(Box::new(Places), tiling(tile.0, tile.1, overlap));
-            let found = tiled.estimate(&frame, &frame).expect("flow");
-            let mut sequence = tiled.sequence(false);
-            assert_eq!(sequence.push(std::slice::from_ref(&frame)).expect("none before it"), []);
-            let moving = sequence.push(&[frame.clone(), frame.clone()]).expect("flows");
-            for flow in [&found, &moving[0].flow, &moving[1].flow] {
-                let far = |a: &[f32; 2], b: &[f32; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
-                let worst =
-                    whole.pixels().iter().zip(flow.pixels()).map(|(a, b)| far(a, b)).fold(0.0, f32::max);
-                assert!(worst < 1e-3, "{size:?} in {tile:?}: {worst} px");
-            }
-        }
-    }
-
     #[test]
     fn uncertainty_is_blended_like_the_flow() {
-        let frame = places(100, 90);
         let tiles = Tiles::new((100, 90), tiling(48, 40, 16)).expect("tiles");
         assert!(tiles.count() > 1);
-        let part = |of: usize| Plane::from_fn(100, 90, |x, y| f32::from(frame.get(x, y)[of]));
+        let across = || Plane::from_fn(100, 90, |x, _| x as f32);
         let whole = FlowEstimate {
-            flow: Places.estimate(&frame, &frame).expect("flow"),
-            uncertainty: Some(part(0)),
+            flow: FlowField::from_fn(100, 90, |x, y| [x as f32, y as f32]),
+            uncertainty: Some(across()),
             occlusion: None,
             iterations: None,
         };
@@ -459,23 +292,9 @@ mod tests {
             Ok(vec![FlowEstimate { flow, uncertainty, ..whole.clone() }])
         });
         let blended = blended.expect("blended").remove(0);
-        let (found, expected) = (blended.uncertainty.expect("kept"), part(0));
+        let (found, expected) = (blended.uncertainty.expect("kept"), across());
         let apart = found.pixels().iter().zip(expected.pixels()).map(|(a, b)| (a - b).abs());
         assert!(apart.fold(0.0, f32::max) < 1e-3 && blended.occlusion.is_none());
-    }
-
-    #[test]
-    fn inconsistent_tiles_are_blended_smoothly() {
-        let frame = Image::new(200, 20);
-        let estimator = Counting(0.into());
-        let tiled = Tiled::new(Box::new(estimator), tiling(80, 80, 20));
-        let flow = tiled.estimate(&frame, &frame).expect("flow");
-        let row = flow.row(10);
-        assert_eq!((row[0], row[100], row[199]), ([0.0, 0.0], [1.0, 0.0], [2.0, 0.0]));
-        let steps = row.windows(2).map(|pair| pair[1][0] - pair[0][0]);
-        let (least, most) =
-            steps.fold((0.0_f32, 0.0_f32), |(least, most), step| (least.min(step), most.max(step)));
-        assert!(least >= -1e-6 && most < 0.15, "steps from {least} to {most}");
     }
 
     #[test]
@@ -512,18 +331,5 @@ mod tests {
         }
         let error = tiles(120_000_000).expect_err("too little").to_string();
         assert!(error.contains("120 MB") && error.contains("256x256"), "{error}");
-    }
-
-    #[test]
-    fn frames_of_different_sizes_are_an_error() {
-        let tiled = Tiled::new(Box::new(Places), tiling(16, 16, 4));
-        let (one, other) = (Image::new(40, 30), Image::new(41, 30));
-        assert!(matches!(tiled.estimate(&one, &other), Err(EstimateError::SizeMismatch { .. })));
-        assert!(matches!(
-            tiled.estimate_from(&one, &one, &FlowField::new(41, 30)),
-            Err(EstimateError::SizeMismatch { .. })
-        ));
-        let result = tiled.sequence(false).push(&[one, other]);
-        assert!(matches!(result, Err(EstimateError::SizeMismatch { .. })));
     }
 }

@@ -6,24 +6,25 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::{Map, Value};
-use srflow::{Entry, Watch};
+use srflow::{Done, Entry, Watch};
 
 use crate::compute::{Reporter, compute_reporting};
 use crate::errors::in_python;
 
-/// Runs the job of this name with these settings; see `srflow/jobs.py`. Returns the report and its text.
+/// Runs the job of this name with these settings; see `srflow/jobs.py`. Returns the report, its text and what the job found wrong.
+/// What lasts until it is stopped, such as a page that is served, begins once the text is printed, and ends with Ctrl-C.
 #[pyfunction]
 #[pyo3(signature = (
     name: "str",
     settings: "dict[str, Any]",
     callback: "Callable[[dict[str, Any]], object] | None" = None
-) -> "tuple[dict[str, Any], str]")]
+) -> "tuple[dict[str, Any], str, str | None]")]
 pub fn run_job<'py>(
     py: Python<'py>,
     name: &str,
     settings: &Bound<'py, PyDict>,
     callback: Option<&Bound<'py, PyAny>>,
-) -> PyResult<(Bound<'py, PyAny>, String)> {
+) -> PyResult<(Bound<'py, PyAny>, String, Option<String>)> {
     let entry =
         Entry::named(name).ok_or_else(|| PyValueError::new_err(format!("no job is called {name:?}")))?;
     let settings = from_python(settings)?;
@@ -46,8 +47,13 @@ pub fn run_job<'py>(
         };
         entry.run(settings, &Watch { on_progress: &on_progress, stop: &|| reporter.stops() })
     })?;
-    let done = done.map_err(in_python)?;
-    Ok((to_python(py, &done.report)?, done.text))
+    let Done { report, text, failure, follow_up } = done.map_err(in_python)?;
+    if let Some(follow_up) = follow_up {
+        py.import("builtins")?.call_method1("print", (text.trim_end(),))?;
+        let ended = compute_reporting(py, |()| Ok(()), |reporter| follow_up(&|| reporter.stops()))?;
+        ended.map_err(in_python)?;
+    }
+    Ok((to_python(py, &report)?, text, failure))
 }
 
 /// Refuses what cannot be called before the work: it would end it at its first report.

@@ -2,11 +2,15 @@
 
 
 class Report(dict):
-    """A dict whose keys are attributes too. `print(report)` shows what the command prints."""
+    """A dict whose keys are attributes too. `print(report)` shows what the command prints.
 
-    def __init__(self, values, text):
+    `failure` says what the job found wrong, such as problems of a dataset that was checked; it is `None` if all is well.
+    """
+
+    def __init__(self, values, text, failure=None):
         super().__init__(values)
         self._text = text
+        self.failure = failure
 
     def __getattr__(self, name):
         try:
@@ -22,4 +26,4 @@ class Report(dict):
         return self._text.rstrip()
 
     def __reduce__(self):
-        return (Report, (dict(self), self._text))
+        return (Report, (dict(self), self._text, self.failure))

@@ -913,7 +913,7 @@ def view(
     thing: str,
     *,
     output: Path | None = None,
-    serve: int | None = None,
+    serve: bool | int | None = None,
     split: str | None = None,
     limit: str | None = None,
     motion: str | None = None,

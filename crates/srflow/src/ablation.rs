@@ -18,7 +18,7 @@ use srflow_train::config::{Config, Source};
 
 use crate::clap::Args;
 use crate::made::open_made;
-use crate::output::{ensure_folder, latex, write_tables};
+use crate::output::{ensure_folder, latex, write_page, write_tables};
 use crate::train::{Overrides, Steps, default_device, find_weights};
 use crate::{Job, Report, Watch, WhenStopped, machine};
 
@@ -177,7 +177,7 @@ impl fmt::Display for AblationReport {
         }
         writeln!(f, "{}", self.lead)?;
         write_tables(f, &all_tables(&self.tables))?;
-        writeln!(f, "\nReport: {}", self.out.join("ablation.html").display())
+        write_page(f, &self.out.join("ablation.html"))
     }
 }
 

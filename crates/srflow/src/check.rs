@@ -11,6 +11,7 @@ use srflow_render::check::{CheckReport, Problem, Rerendered, check, check_hashes
 
 use crate::clap::Args;
 use crate::render::write_statistics;
+use crate::output::write_line;
 use crate::{Job, Report, Watch};
 
 /// Open every file of a dataset and report problems
@@ -122,7 +123,7 @@ const LISTED: usize = 50;
 impl fmt::Display for Checked {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         for problem in self.problems().take(LISTED) {
-            writeln!(f, "{}: {}", problem.file.display(), problem.what)?;
+            write_line(f, format_args!("{}: {}", problem.file.display(), problem.what))?;
         }
         let problems = self.problems().count();
         if problems > LISTED {

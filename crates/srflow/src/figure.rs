@@ -18,7 +18,7 @@ use crate::clap::Args;
 use crate::error::wrong_settings;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::opening::open_dataset;
-use crate::output::{ensure_folder, ensure_free};
+use crate::output::{ensure_folder, ensure_free, write_line};
 use crate::{Job, Report, Watch};
 
 /// Make a figure for a paper: frames, flow, errors and strain in a grid
@@ -309,11 +309,11 @@ impl fmt::Display for FigureMade {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         if let Some([width, height]) = self.size_mm {
             for file in &self.outputs {
-                writeln!(f, "{}: {width:.1} mm x {height:.1} mm", file.display())?;
+                write_line(f, format_args!("{}: {width:.1} mm x {height:.1} mm", file.display()))?;
             }
         }
         match &self.panels_folder {
-            Some(folder) => writeln!(f, "{}: {} panels", folder.display(), self.panels.len()),
+            Some(folder) => write_line(f, format_args!("{}: {} panels", folder.display(), self.panels.len())),
             None => Ok(()),
         }
     }

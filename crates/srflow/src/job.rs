@@ -63,4 +63,15 @@ pub trait Report: Serialize + fmt::Display {
     fn failure(&self) -> Option<String> {
         None
     }
+
+    /// What begins once the report is printed and lasts until it is stopped, such as serving a page.
+    fn follow_up(self) -> Option<FollowUp>
+    where
+        Self: Sized,
+    {
+        None
+    }
 }
+
+/// Work that lasts until its argument, which is called now and then, returns `true`.
+pub type FollowUp = Box<dyn FnOnce(&dyn Fn() -> bool) -> Result<(), Error> + Send>;

@@ -65,7 +65,7 @@ pub mod view;
 mod watch;
 
 pub use error::{Error, ErrorKind};
-pub use job::{Job, Report, WhenStopped};
+pub use job::{FollowUp, Job, Report, WhenStopped};
 pub use machine::threads_of_job;
 pub use table::{Done, Entry, JOBS};
 pub use watch::{Progress, Watch};

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use srflow_render::merge::{Merged, Request, merge};
 
 use crate::clap::Args;
-use crate::output::ensure_folder;
+use crate::output::{ensure_folder, write_line};
 use crate::rendering::Made;
 use crate::{Job, Report, Watch, WhenStopped};
 
@@ -100,7 +100,7 @@ impl fmt::Display for MergeReport {
             writeln!(f, "{missing} {kind} are missing: {}", some(missing_names, *missing))?;
         }
         if *complete {
-            writeln!(f, "{} is complete", dataset.display())?;
+            write_line(f, format_args!("{} is complete", dataset.display()))?;
         }
         Ok(())
     }

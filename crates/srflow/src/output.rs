@@ -52,6 +52,12 @@ pub fn write_tables(f: &mut fmt::Formatter, tables: &[Table]) -> fmt::Result {
     writeln!(f, "{}", joined(tables, |table| table.text(style)).trim_end())
 }
 
+/// Writes where the report for a browser is, after an empty line.
+pub fn write_page(f: &mut fmt::Formatter, page: &Path) -> fmt::Result {
+    writeln!(f)?;
+    write_line(f, format_args!("Report: {}", page.display()))
+}
+
 /// Writes one line. Control characters are escaped, line ends too: names may come from files.
 pub fn write_line(f: &mut fmt::Formatter, line: fmt::Arguments) -> fmt::Result {
     writeln!(f, "{}", printable(&line.to_string()))

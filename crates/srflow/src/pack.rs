@@ -11,7 +11,7 @@ use srflow_read::packed::{PackEvent, PackReport, PackRequest, PackSettings, pack
 pub use srflow_read::packed::{PackedFlow, TarSize};
 
 use crate::clap::Args;
-use crate::output::ensure_folder;
+use crate::output::{ensure_folder, write_line};
 use crate::watch::Progress;
 use crate::{Job, Report, Watch, WhenStopped};
 
@@ -112,6 +112,6 @@ impl fmt::Display for Packed {
             f,
             "{packed} of {pairs} pairs packed; {tars} tars, {gigabytes:.3} GB, flow within {flow_error:.2e} px"
         )?;
-        if stopped { Ok(()) } else { writeln!(f, "read it with wds:{}", self.packed_dataset.display()) }
+        if stopped { Ok(()) } else { write_line(f, format_args!("read it with wds:{}", self.packed_dataset.display())) }
     }
 }

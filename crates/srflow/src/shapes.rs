@@ -69,7 +69,7 @@ impl fmt::Display for ShapesMade {
             "{made} of {pairs} pairs made in {seconds:.1} s: {per_minute:.0} pairs a minute, {megabytes:.1} MB"
         )?;
         if is_whole {
-            writeln!(f, "read it with chairs:{}", self.out.display())
+            write_line(f, format_args!("read it with chairs:{}", self.out.display()))
         } else if stopped {
             Ok(())
         } else {

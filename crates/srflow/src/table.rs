@@ -4,7 +4,7 @@ use serde_json::{Map, Value};
 
 use crate::settings::from_json;
 use crate::{
-    Error, Job, Watch, ablation, avatar, check, convert, demo, device, eval, figure, flow, mer, merge,
+    Error, FollowUp, Job, Report, Watch, ablation, avatar, check, convert, demo, device, eval, figure, flow, mer, merge,
     metrics, models, pack, rasterize, render, shapes, train, view,
 };
 
@@ -25,6 +25,10 @@ pub struct Done {
     pub report: Value,
     /// As the command prints it.
     pub text: String,
+    /// What the job found wrong; see [`Report::failure`].
+    pub failure: Option<String>,
+    /// See [`Report::follow_up`].
+    pub follow_up: Option<FollowUp>,
 }
 
 macro_rules! jobs {
@@ -102,7 +106,12 @@ fn run<J: Job>(settings: Map<String, Value>, watch: &Watch) -> Result<Done, Erro
     let report = job.run(watch)?;
     // By way of text, where 0.8 stays 0.8: as a value, a float of 32 bits becomes one of 64 with all its digits.
     let json = serde_json::to_string(&report).and_then(|text| serde_json::from_str(&text));
-    Ok(Done { report: json.map_err(anyhow::Error::from)?, text: report.to_string() })
+    Ok(Done {
+        report: json.map_err(anyhow::Error::from)?,
+        text: report.to_string(),
+        failure: report.failure(),
+        follow_up: report.follow_up(),
+    })
 }
 
 #[cfg(feature = "clap")]

@@ -19,6 +19,7 @@ use crate::clap::Args;
 use crate::error::wrong_settings;
 use crate::made::{check_made, open_made};
 use crate::networks::{note_if_ambiguous, weights_file};
+use crate::output::write_line;
 use crate::watch::Progress;
 use crate::{Job, Report, Watch, WhenStopped, machine};
 
@@ -379,15 +380,15 @@ impl fmt::Display for Trained {
         let weights = weights.display();
         match best {
             Some(Best { step, epe }) => {
-                writeln!(f, "Best              EPE {epe:.4} px after step {step}: {weights}")?;
+                write_line(f, format_args!("Best              EPE {epe:.4} px after step {step}: {weights}"))?;
             }
             None => {
-                writeln!(f, "Weights           {weights}")?;
+                write_line(f, format_args!("Weights           {weights}"))?;
                 writeln!(f, "                  no best.safetensors: nothing was validated")?;
             }
         }
         if *stopped {
-            writeln!(f, "Stopped on request; srflow train --resume {} continues", run.display())?;
+            write_line(f, format_args!("Stopped on request; srflow train --resume {} continues", run.display()))?;
         }
         Ok(())
     }

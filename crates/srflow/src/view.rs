@@ -5,7 +5,7 @@ use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail, ensure};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use srflow_avatar::HeadSource;
 use srflow_core::{FlowField, Mask, score};
 use srflow_eval::spread;
@@ -20,10 +20,10 @@ use crate::error::{in_words, wrong_settings};
 use crate::head_page::head_pack;
 use crate::methods::{self, Method, MethodParameters, MethodSpec, Source};
 use crate::opening::open_dataset;
-use crate::output::{ensure_extension, ensure_free};
+use crate::output::{ensure_extension, ensure_free, write_line};
 use crate::posed_head::MovingHead;
 use crate::scoring::folder_name;
-use crate::{Error, Job, Report, Watch};
+use crate::{FollowUp, Job, Report, Watch};
 
 /// Show Gaussians, an avatar, a dataset or flow in a browser
 ///
@@ -55,7 +55,7 @@ pub struct ViewJob {
     /// Serve the page on this machine instead of writing it, and load pairs on demand; on this port, or any free one if none or
     /// 0 is given
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", conflicts_with = "output")]
-    #[serde(default)]
+    #[serde(default, deserialize_with = "port")]
     pub serve: Option<u16>,
     /// Split of a dataset: train, val, test or all [default: the one that results are usually reported on]
     #[arg(long)]
@@ -87,6 +87,21 @@ pub struct ViewJob {
 
 fn one() -> u64 {
     1
+}
+
+/// A port, or `true` for any free one.
+fn port<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u16>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged, expecting = "expected a port, 0 to 65535, or true")]
+    enum Given {
+        Serve(bool),
+        Port(u16),
+    }
+    Ok(match Option::deserialize(deserializer)? {
+        None | Some(Given::Serve(false)) => None,
+        Some(Given::Serve(true)) => Some(0),
+        Some(Given::Port(port)) => Some(port),
+    })
 }
 
 /// Size of the pairs in a page where `limit` is not given, and their largest number.
@@ -130,7 +145,7 @@ impl Job for ViewJob {
 pub enum Viewed {
     /// A page in a file.
     Written(Written),
-    /// A page that [`Viewed::serve`] serves.
+    /// A page to be served.
     Served(Box<Served>),
 }
 
@@ -141,7 +156,7 @@ pub struct Written {
     pub bytes: usize,
 }
 
-/// A page whose server listens; it answers while [`Viewed::serve`] runs.
+/// A page whose server listens; it answers while its [follow-up](Report::follow_up) runs.
 #[derive(Serialize)]
 pub struct Served {
     pub url: String,
@@ -153,31 +168,23 @@ pub struct Served {
     limit: Option<usize>,
 }
 
-impl Report for Viewed {}
+impl Report for Viewed {
+    fn follow_up(self) -> Option<FollowUp> {
+        let Self::Served(served) = self else { return None };
+        Some(Box::new(move |stop| {
+            let Served { server, view, limit, .. } = *served;
+            Ok(server.run(|name| view.answer(name, limit), stop).map_err(anyhow::Error::from)?)
+        }))
+    }
+}
 
 impl fmt::Display for Viewed {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
             Self::Written(Written { page, bytes }) => {
-                writeln!(f, "{} ({:.1} MB): open it in a browser", page.display(), *bytes as f64 / 1e6)
+                write_line(f, format_args!("{} ({:.1} MB): open it in a browser", page.display(), *bytes as f64 / 1e6))
             }
             Self::Served(served) => writeln!(f, "{}: open it in a browser; Ctrl-C ends", served.url),
-        }
-    }
-}
-
-impl Viewed {
-    /// Serves the page for as long as the program runs; returns at once if the page is in a file.
-    ///
-    /// # Errors
-    /// When no more requests can be received.
-    pub fn serve(&self) -> Result<(), Error> {
-        match self {
-            Self::Written(_) => Ok(()),
-            Self::Served(served) => {
-                let Served { server, view, limit, .. } = &**served;
-                Ok(server.run(|name| view.answer(name, *limit)).map_err(anyhow::Error::from)?)
-            }
         }
     }
 }

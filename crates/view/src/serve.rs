@@ -20,6 +20,9 @@ pub struct ServeError {
     pub reason: String,
 }
 
+/// How long a server may wait before it asks whether to stop.
+const STOPS_WITHIN: Duration = Duration::from_millis(200);
+
 /// A server for browsers on this machine.
 pub struct Server {
     server: tiny_http::Server,
@@ -43,16 +46,17 @@ impl Server {
         format!("http://{}/", self.server.server_addr())
     }
 
-    /// Answers requests, one after another, for as long as the program runs: the page for an empty name, else the pack of that name.
+    /// Answers requests, one after another, until `stop` is true: with the page for an empty name, else the pack of that name.
     ///
     /// # Errors
     /// When no more requests can be received.
-    pub fn run(&self, mut answer: impl FnMut(&str) -> Answer) -> io::Result<()> {
-        loop {
-            let request = self.server.recv()?;
+    pub fn run(&self, mut answer: impl FnMut(&str) -> Answer, stop: &dyn Fn() -> bool) -> io::Result<()> {
+        while !stop() {
+            let Some(request) = self.server.recv_timeout(STOPS_WITHIN)? else { continue };
             let response = self.response(&request, &mut answer);
             _ = request.respond(response); // a browser that went away needs no answer
         }
+        Ok(())
     }
 
     fn response(

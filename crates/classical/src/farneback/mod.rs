@@ -11,6 +11,7 @@ mod strips;
 mod update;
 mod window;
 
+use serde::Serialize;
 use srflow_core::resize::{resize_linear_of_two, shrink_area};
 use srflow_core::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, check_frame_sizes,
@@ -30,7 +31,7 @@ const SMALLEST_SIDE: f64 = 32.0;
 
 /// The parameters of OpenCV's `calcOpticalFlowFarneback`, under its names. The defaults are those of
 /// `FarnebackOpticalFlow::create`. The flag `OPTFLOW_USE_INITIAL_FLOW` is [`FlowEstimator::estimate_from`].
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FarnebackParameters {
     /// Size of a pyramid level relative to the next finer one, between 0 and 1.
     pub pyr_scale: f64,

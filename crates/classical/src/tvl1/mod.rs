@@ -10,6 +10,7 @@ mod relaxation;
 mod state;
 mod warp;
 
+use serde::Serialize;
 use srflow_core::resize::{resize_linear, resize_linear_by};
 use srflow_core::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, Plane, check_frame_sizes, luminance,
@@ -28,7 +29,7 @@ const SMALLEST_SIDE: usize = 16;
 
 /// The parameters of OpenCV's `DualTVL1OpticalFlow`, with its defaults. `useInitialFlow` is
 /// [`FlowEstimator::estimate_from`].
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TvL1Parameters {
     /// Time step of the dual update.
     pub tau: f64,

@@ -1,6 +1,6 @@
 //! Properties that hold for any frames.
 
-use srflow_classical::{Farneback, FarnebackParameters, Refined, TvL1, TvL1Parameters};
+use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
 use srflow_core::random::Key;
 use srflow_core::{EstimateError, FlowEstimator, FlowField, Image, forward_interpolate};
 
@@ -156,41 +156,6 @@ fn a_parameter_out_of_range_is_named() {
     for (parameters, name) in wrong {
         assert_eq!(TvL1::new(parameters).unwrap_err().parameter, name);
     }
-}
-
-/// Half of the true motion.
-struct Half;
-
-impl FlowEstimator for Half {
-    fn name(&self) -> &str {
-        "half"
-    }
-
-    fn estimate(&self, frame1: &Image, _: &Image) -> Result<FlowField, EstimateError> {
-        Ok(FlowField::filled(frame1.width(), frame1.height(), [0.5, -0.25]))
-    }
-}
-
-#[test]
-fn refinement_comes_nearer_to_the_true_motion() {
-    let frame = |time: f32| texture(120, 90, (-time, 0.5 * time));
-    let refined = Refined::new(Box::new(Half), TvL1::new(Refined::parameters()).unwrap());
-    let frames = [frame(0.0), frame(1.0), frame(2.0)];
-    let alone = refined.estimate(&frames[0], &frames[1]).unwrap();
-    assert!(mean_distance(&alone, [1.0, -0.5], 8) < 0.1, "{}", mean_distance(&alone, [1.0, -0.5], 8));
-    assert_eq!(refined.name(), "half");
-    // As pairs, and along a video, in whatever portions it comes.
-    let pairs = [[&frames[0], &frames[1]], [&frames[1], &frames[2]]];
-    let pairs: Vec<FlowField> =
-        refined.estimate_pairs(&pairs).unwrap().into_iter().map(|estimate| estimate.flow).collect();
-    assert_eq!(pairs[0], alone);
-    let mut sequence = refined.sequence(false);
-    let mut along = sequence.push(&frames[..1]).unwrap();
-    along.extend(sequence.push(&[]).unwrap());
-    along.extend(sequence.push(&frames[1..]).unwrap());
-    let along: Vec<FlowField> = along.into_iter().map(|estimate| estimate.flow).collect();
-    assert_eq!(along, pairs);
-    assert_eq!(refined.sequence(false).push_pair([&frames[1], &frames[2]]).unwrap().flow, pairs[1]);
 }
 
 #[test]

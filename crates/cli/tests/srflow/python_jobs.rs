@@ -149,6 +149,8 @@ fn kind(argument: &Arg) -> String {
     let one = known.unwrap_or("str");
     match argument.get_id().as_str() {
         "set" => "dict[str, Any]".to_owned(),
+        // An option whose value may be left out.
+        _ if argument.get_num_args().is_some_and(|count| count.min_values() == 0) => format!("bool | {one}"),
         _ if is_list(argument) => format!("{one} | Sequence[{one}]"),
         _ => one.to_owned(),
     }

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
 use srflow_files::write_image_png;
 use srflow_mer::{
-    ApexRule, Channel, FaceCrop, FeatureCache, Landmarks, Method, Preparation, ResizeOrder, apex_errors,
+    ApexRule, Channel, Extracted, FaceCrop, FeatureCache, Landmarks, Method, Preparation, ResizeOrder, apex_errors,
     extract, fill_apexes, spot_apex,
 };
 use srflow_read::micro_expression::{Annotation, Classes, Clip, ClipDataset, write_plain};
@@ -72,10 +72,9 @@ fn features_come_in_order_and_from_the_cache_the_second_time() {
     let run = |identity: &str, preparation: &Preparation| {
         let method = Method { estimator: &estimator, identity: identity.to_owned() };
         let cached = AtomicUsize::new(0);
-        let samples = extract(&clips, &method, preparation, Some(&cache), &|clip| {
-            cached.fetch_add(usize::from(clip.cached), Ordering::Relaxed);
-        });
-        (samples.unwrap(), cached.into_inner(), estimator.0.swap(0, Ordering::Relaxed))
+        let on_clip = |clip: Extracted| _ = cached.fetch_add(usize::from(clip.cached), Ordering::Relaxed);
+        let samples = extract(&clips, &method, preparation, Some(&cache), &on_clip, &|| false);
+        (samples.unwrap(), cached.load(Ordering::Relaxed), estimator.0.swap(0, Ordering::Relaxed))
     };
     let before = Preparation::default();
     let (first, cached, estimated) = run("brightness 1", &before);
@@ -110,7 +109,7 @@ fn clips_that_cannot_be_used_are_named() {
     let method = Method { estimator: &estimator, identity: String::new() };
     let error = |clips: &[Clip], face: FaceCrop| {
         let preparation = Preparation { face, ..Preparation::default() };
-        extract(clips, &method, &preparation, None, &|_| {}).unwrap_err().to_string()
+        extract(clips, &method, &preparation, None, &|_| {}, &|| false).unwrap_err().to_string()
     };
     let outside = error(&clips, FaceCrop::Fixed("10,5,400x40".parse().unwrap()));
     assert!(outside.contains("s0/c0: the box 10,5,400x40") && outside.contains("60x50"), "{outside}");

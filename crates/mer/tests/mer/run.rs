@@ -3,12 +3,13 @@
 use std::io::Read as _;
 use std::path::Path;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
 use srflow_eval::MethodRecord;
 use srflow_files::write_image_png;
 use srflow_mer::{
-    ApexRule, FeatureRecipe, Preparation, Protocol, RunError, RunEvent, RunFolders, RunMethod, RunResults,
+    ApexRule, FeatureRecipe, Preparation, Protocol, RunError, RunEvent, RunFolders, RunMethod, RunWatch, RunResults,
     RunSettings, Sets, compute_features, run, write_features,
 };
 use srflow_read::micro_expression::{Classes, ClipDataset, ClipSource};
@@ -69,6 +70,7 @@ fn record() -> MethodRecord {
         iterations: None,
         still_px: None,
         device: None,
+        identity: "brightness".into(),
     }
 }
 
@@ -78,7 +80,8 @@ fn run_in(
     on_event: &(dyn Fn(RunEvent) + Sync),
 ) -> Result<RunResults, RunError> {
     let folders = RunFolders { features: &folder.join("features"), folds: &folder.join("folds") };
-    run(datasets, vec![RunMethod { estimator: &Brightness, record: record() }], settings(), folders, on_event)
+    let watch = RunWatch { on_event, stop: &|| false };
+    run(datasets, vec![RunMethod { estimator: &Brightness, record: record() }], settings(), folders, watch)
 }
 
 #[test]
@@ -117,6 +120,22 @@ fn events_reach_the_announced_counts_and_a_second_run_computes_nothing() {
 }
 
 #[test]
+fn a_stopped_run_continues() {
+    let folder = tempfile::tempdir().unwrap();
+    let datasets = || vec![dataset(&folder.path().join("data"), 3)];
+    let begun = AtomicBool::new(false);
+    let on_event = |event: RunEvent| _ = begun.fetch_or(matches!(event, RunEvent::Trained { .. }), Ordering::Relaxed);
+    let stop = || begun.load(Ordering::Relaxed);
+    let folders =
+        RunFolders { features: &folder.path().join("features"), folds: &folder.path().join("folds") };
+    let method = RunMethod { estimator: &Brightness, record: record() };
+    let watch = RunWatch { on_event: &on_event, stop: &stop };
+    let stopped = run(datasets(), vec![method], settings(), folders, watch);
+    assert!(matches!(stopped, Err(RunError::Stopped)));
+    assert_eq!(run_in(folder.path(), datasets(), &|_| ()).unwrap().trials.len(), 1);
+}
+
+#[test]
 fn a_set_that_nobody_can_be_left_out_of_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let alone = dataset(&folder.path().join("alone"), 1);
@@ -132,7 +151,8 @@ fn features_are_written_for_numpy() {
     let methods = [RunMethod { estimator: &Brightness, record: record.clone() }];
     let preparation = Preparation::default();
     let rule = Some(ApexRule::Strain);
-    let set = compute_features(datasets, &methods, rule, &preparation, None, &|_| ()).unwrap();
+    let watch = RunWatch { on_event: &|_| (), stop: &|| false };
+    let set = compute_features(datasets, &methods, rule, &preparation, None, watch).unwrap();
     let path = folder.path().join("features.npz");
     let classes = Classes::default();
     let recipe = FeatureRecipe {

@@ -6,8 +6,7 @@ use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_core::{EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, Plane, forward_interpolate};
 use srflow_nets::{
-    Architecture, Frames, Iterations, Network, NetworkEstimator, Padding, Request, Scaled, TileSize, Tiled,
-    Tiling,
+    Architecture, Frames, Iterations, Network, NetworkEstimator, Padding, Request, TileSize, Tiling, Wrapped,
 };
 use srflow_nn::{parameters, with_parameters};
 use srflow_ops::Precision;
@@ -106,8 +105,8 @@ fn a_sequence_gives_the_flow_of_every_pair_in_pieces_of_any_length() {
 fn batches_give_the_flow_of_each_pair() {
     let network = network();
     let boxed = || Box::new(estimator(&network));
-    let tiled = Tiled::new(boxed(), tiling(128, 128, 64));
-    let scaled = Scaled::new(boxed(), 0.9).expect("in range");
+    let tiled = Wrapped::new(boxed()).tiled(tiling(128, 128, 64));
+    let scaled = Wrapped::new(boxed()).scaled(0.9).expect("in range");
     let frames = video((170, 140), 4);
     let pairs = [[&frames[0], &frames[1]], [&frames[3], &frames[0]], [&frames[1], &frames[1]]];
     for estimator in [&estimator(&network) as &dyn FlowEstimator, &tiled, &scaled] {
@@ -189,7 +188,7 @@ fn a_sequence_remembers_earlier_pairs_but_not_across_a_cut() {
 fn memory_is_kept_when_windows_move() {
     let network = memflow();
     let frames = video((150, 131), 3);
-    let tiled = Tiled::new(Box::new(estimator(&network)), tiling(200, 200, 64));
+    let tiled = Wrapped::new(Box::new(estimator(&network))).tiled(tiling(200, 200, 64));
     let estimator = estimator(&network);
     let window = |number: usize, left: usize| frames[number].crop(left, 0, 140, 131);
     let pairs = [[window(0, 0), window(1, 0)], [window(1, 3), window(2, 3)]];
@@ -270,12 +269,12 @@ fn tiles_and_scales_give_the_same_flow_in_a_sequence() {
     let size = (300, 160);
     let frames = video(size, 3);
     let boxed = || Box::new(estimator(&network));
-    let whole = Tiled::new(boxed(), tiling(300, 200, 64));
+    let whole = Wrapped::new(boxed()).tiled(tiling(300, 200, 64));
     let expected = estimator(&network).estimate(&frames[0], &frames[1]).expect("flow");
     assert_near(&whole.estimate(&frames[0], &frames[1]).expect("flow"), &expected, "one tile");
 
-    let tiled = Tiled::new(boxed(), tiling(192, 128, 64));
-    let scaled = Scaled::new(Box::new(Tiled::new(boxed(), tiling(160, 128, 32))), 0.75).expect("in range");
+    let tiled = Wrapped::new(boxed()).tiled(tiling(192, 128, 64));
+    let scaled = Wrapped::new(boxed()).tiled(tiling(160, 128, 32)).scaled(0.75).expect("in range");
     for estimator in [&tiled as &dyn FlowEstimator, &scaled] {
         let flows = flows_of(estimator, false, &frames);
         for (number, pair) in frames.windows(2).enumerate() {
@@ -336,7 +335,7 @@ fn a_pair_takes_as_many_iterations_as_it_needs_whatever_its_mates() {
     }
     assert_eq!(estimator.estimate_pairs(&pairs).expect("flows"), alone, "in a batch");
     assert_eq!(estimator.sequence(false).push(&frames).expect("flows"), alone, "along a video");
-    let tiled = Tiled::new(Box::new(until_still(&network, still_px)), tiling(128, 128, 48));
+    let tiled = Wrapped::new(Box::new(until_still(&network, still_px))).tiled(tiling(128, 128, 48));
     let tiles = [0, 72].map(|left| pairs[1].map(|frame| frame.crop(left, 0, 128, 128)));
     let mean = tiles.map(|pair| of(pair.each_ref()).iterations.expect("some")).iter().sum::<f32>() / 2.0;
     for found in [tiled.estimate_pairs(&pairs), tiled.sequence(false).push(&frames)] {
@@ -372,7 +371,7 @@ fn a_mixture_becomes_the_uncertainty_of_the_flow() {
         .collect();
     let named =
         NetworkEstimator::new("s", network, NonZeroUsize::new(ITERATIONS).expect("some"), Device::flex());
-    let tiled = Tiled::new(Box::new(named), tiling(200, 200, 64));
+    let tiled = Wrapped::new(Box::new(named)).tiled(tiling(200, 200, 64));
     for at_once in [1, 3] {
         let mut sequence = tiled.sequence(false);
         let found: Vec<Plane> = frames

@@ -19,7 +19,7 @@ use super::paths::from_to;
 use super::scores::mesh_table;
 use crate::clap::Args;
 use crate::error::wrong_settings;
-use crate::output::{ensure_folder, ensure_free, write_tables};
+use crate::output::{ensure_folder, ensure_free, write_line, write_tables};
 use crate::{Job, Report, Watch};
 
 /// Fit a head model to the landmarks of a capture
@@ -278,10 +278,12 @@ impl fmt::Display for Fitted {
         let Self { timesteps, pictures, unused_faces, report, out, .. } = self;
         let cameras = report.cameras.len();
         let share = 100.0 * report.outliers as f64 / report.landmarks.max(1) as f64;
-        writeln!(
+        write_line(
             f,
-            "Fitted timesteps: {timesteps}, pictures: {pictures}, cameras: {cameras}; written to {}",
-            out.display()
+            format_args!(
+                "Fitted timesteps: {timesteps}, pictures: {pictures}, cameras: {cameras}; written to {}",
+                out.display()
+            ),
         )?;
         writeln!(
             f,
@@ -317,10 +319,12 @@ impl fmt::Display for Fitted {
             writeln!(f)?;
             write_tables(f, &[mesh_table(error)])?;
         } else if self.has_truth {
-            writeln!(
+            write_line(
                 f,
-                "The true head has another mesh than {}: no points correspond, and no distance is known.",
-                self.model
+                format_args!(
+                    "The true head has another mesh than {}: no points correspond, and no distance is known.",
+                    self.model
+                ),
             )?;
         }
         Ok(())
@@ -352,7 +356,10 @@ fn write_reach(f: &mut fmt::Formatter, reach: &Reach) -> fmt::Result {
     ] {
         if !unknown.is_empty() {
             let of = of.map(|of| format!(" ({} of {of})", unknown.len())).unwrap_or_default();
-            writeln!(f, "Not determined by the landmarks: {what}{of}: {}", listed(unknown))?;
+            write_line(
+                f,
+                format_args!("Not determined by the landmarks: {what}{of}: {}", listed(unknown)),
+            )?;
         }
     }
     Ok(())

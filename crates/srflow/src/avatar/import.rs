@@ -13,7 +13,7 @@ use srflow_files::create_folder;
 
 use super::paths::from_to;
 use crate::clap::Args;
-use crate::output::{ensure_folder, ensure_free};
+use crate::output::{ensure_folder, ensure_free, write_line};
 use crate::{Job, Report, Watch};
 
 /// Make a capture from pictures in folders and a file of their cameras
@@ -163,27 +163,31 @@ impl fmt::Display for ImportReport {
         )?;
         let numbered: Vec<String> =
             numbered.iter().map(|(number, name)| format!("{number}: {name}")).collect();
-        writeln!(f, "Cameras: {}", listed(&numbered))?;
+        write_line(f, format_args!("Cameras: {}", listed(&numbered)))?;
         if !self.unknown_cameras.is_empty() {
-            let file = self.file_of_cameras.display();
-            writeln!(f, "Left out, since {file} lacks them: cameras {}", listed(&self.unknown_cameras))?;
+            let (file, names) = (self.file_of_cameras.display(), listed(&self.unknown_cameras));
+            write_line(f, format_args!("Left out, since {file} lacks them: cameras {names}"))?;
         }
         if !self.unused_cameras.is_empty() {
-            writeln!(f, "Without pictures: cameras {}", listed(&self.unused_cameras))?;
+            write_line(f, format_args!("Without pictures: cameras {}", listed(&self.unused_cameras)))?;
         }
         if self.without_mask > 0 {
             writeln!(f, "Without a mask: {} pictures", self.without_mask)?;
         }
         if let Some((camera, how)) = &self.distorted {
-            writeln!(
+            write_line(
                 f,
-                "The lens of camera {camera} distorts ({how}): the pictures must be undistorted, as by `colmap image_undistorter`"
+                format_args!(
+                    "The lens of camera {camera} distorts ({how}): the pictures must be undistorted, as by `colmap image_undistorter`"
+                ),
             )?;
         }
-        writeln!(
+        write_line(
             f,
-            "Written to {}; landmarks.csv there, or --landmarks, is what srflow avatar fit needs",
-            self.out.display()
+            format_args!(
+                "Written to {}; landmarks.csv there, or --landmarks, is what srflow avatar fit needs",
+                self.out.display()
+            ),
         )
     }
 }

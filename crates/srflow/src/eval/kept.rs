@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::UNIX_EPOCH;
 
 use anyhow::Context as _;
+use serde_json::json;
 use srflow_core::Shard;
 use srflow_eval::{KeptPair, KeptScores, ScoredPair};
 use srflow_files::{JsonLines, create_folder, read_json_lines};
@@ -19,7 +20,7 @@ use crate::methods::{self, MethodParameters, MethodSpec};
 pub struct Kept {
     folder: PathBuf,
     file: PathBuf,
-    /// What scores depend on besides pairs.
+    /// What scores depend on besides pairs, as JSON.
     evaluation: String,
     /// Stamps of the files of pairs, by their names.
     stamps: BTreeMap<String, String>,
@@ -56,18 +57,20 @@ impl Kept {
     ) -> anyhow::Result<Option<Self>> {
         match (missing(job, specs), &job.out) {
             (None, Some(out)) => {
-                let records: Vec<String> = methods::records(specs, parameters, watch)?
-                    .iter()
-                    .map(|record| format!("{}: {}", record.name, record.identity()))
-                    .collect();
-                let EvalJob { crop, regions, small_motion, expression, .. } = job;
-                let evaluation = format!(
-                    "srflow {} {} {:?} {crop:?} {regions} {small_motion:?} {expression} {}",
-                    env!("CARGO_PKG_VERSION"),
-                    dataset.name(),
-                    std::path::absolute(dataset.dir())?,
-                    records.join("; ")
-                );
+                let records = methods::records(specs, parameters, watch)?;
+                let methods: Vec<_> = records.iter().map(|record| (&record.name, &record.identity)).collect();
+                let evaluation = json!({
+                    "version": 1,
+                    "srflow": env!("CARGO_PKG_VERSION"),
+                    "dataset": dataset.name(),
+                    "folder": std::path::absolute(dataset.dir())?.display().to_string(),
+                    "crop": job.crop,
+                    "regions": job.regions,
+                    "small_motion": job.small_motion,
+                    "expression": job.expression,
+                    "methods": methods,
+                })
+                .to_string();
                 let folder = out.join("scored");
                 let stamps = dataset.entries().iter().map(|entry| (entry.id(), stamp(entry))).collect();
                 let file = folder.join(format!("{}-of-{}.jsonl", shard.number, shard.of));
@@ -86,6 +89,12 @@ impl Kept {
             let path = entry.path();
             if path.extension().is_some_and(|extension| extension == "jsonl") {
                 let pairs: Vec<KeptPair> = read_json_lines(&path)?;
+                if pairs.iter().any(|pair| !pair.evaluation.starts_with('{')) {
+                    let path = path.display();
+                    log::warn!(
+                        "{path}: an earlier version of srflow kept these scores; the pairs are scored again"
+                    );
+                }
                 let current: Vec<KeptPair> = pairs.into_iter().filter(|pair| self.is_current(pair)).collect();
                 self.found.extend(current);
             }

@@ -26,7 +26,7 @@ use crate::face::FaceArgs;
 use crate::figure::write_panels;
 use crate::methods::{self, MethodParameters, MethodSpec, Rows, RowsArgs, Source};
 use crate::opening::open_dataset;
-use crate::output::{ensure_folder, ensure_free, latex, write_tables};
+use crate::output::{ensure_folder, ensure_free, latex, write_page, write_tables};
 use crate::rendering::{Rendered, ShardArgs};
 use crate::scoring::{self, folder_name, save_flows};
 use crate::{Job, Report, Watch, WhenStopped, machine};
@@ -408,7 +408,7 @@ impl fmt::Display for EvalReport {
             Self::Scores(scores) => {
                 write_tables(f, &scores.evaluation.tables())?;
                 match &scores.out {
-                    Some(out) => writeln!(f, "\nReport: {}", out.join("report.html").display()),
+                    Some(out) => write_page(f, &out.join("report.html")),
                     None => Ok(()),
                 }
             }

@@ -12,6 +12,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, anyhow, ensure};
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use srflow_core::{
     FlowEstimate, FlowEstimator, FlowField, FlowSequence, SettingError, Shard, flow_colors, in_stages,
 };
@@ -249,14 +250,14 @@ impl fmt::Display for SequenceReport {
             writeln!(f, "{} flows from the interrupted run were kept", self.resumed)?;
         }
         if let Some(file) = &self.landmarks {
-            writeln!(f, "{}: landmarks of the face in the first frame", file.display())?;
+            write_line(f, format_args!("{}: landmarks of the face in the first frame", file.display()))?;
         }
         for EstimatedPair { flow, width, height, seconds, iterations, .. } in &self.pairs {
             let iterations = match iterations {
                 Some(number) => format!("  {} iterations", (10.0 * number).round() / 10.0),
                 None => String::new(),
             };
-            writeln!(f, "{}  {width}x{height}  {seconds:.3} s{iterations}", flow.display())?;
+            write_line(f, format_args!("{}  {width}x{height}  {seconds:.3} s{iterations}", flow.display()))?;
         }
         Ok(())
     }
@@ -469,25 +470,24 @@ fn is_zero(count: &u64) -> bool {
     *count == 0
 }
 
-/// Everything the flow depends on: runs with the same identity write the same files.
+/// Everything that the files depend on, as JSON: runs with the same identity write the same files.
 fn identity(job: &FlowJob, crop: &FrameCrop, watch: &Watch) -> anyhow::Result<String> {
     let records = methods::records(std::slice::from_ref(&job.method), &job.parameters, watch)?;
-    let method: Vec<String> = records.iter().map(|record| record.identity()).collect();
     let frames: Vec<PathBuf> = job.frames.iter().map(std::path::absolute).collect::<Result<_, _>>()?;
-    Ok(format!(
-        "{}\n{frames:?}\n{} {:?} {:?} {:?} {:?} {}{}\n",
-        method.join("\n"),
-        job.format,
-        job.viz,
-        job.viz_max,
-        job.uncertainty,
-        job.occlusion,
-        job.warm_start,
-        match crop {
-            FrameCrop::Whole => String::new(),
-            crop => format!(" {crop:?}"),
-        }
-    ))
+    let text = |path: &PathBuf| path.display().to_string();
+    let identity = json!({
+        "version": 2,
+        "method": records[0].identity,
+        "frames": frames.iter().map(text).collect::<Vec<_>>(),
+        "format": job.format,
+        "viz": job.viz.as_ref().map(text),
+        "viz_max": job.viz_max,
+        "uncertainty": job.uncertainty.as_ref().map(text),
+        "occlusion": job.occlusion.as_ref().map(text),
+        "warm_start": job.warm_start,
+        "crop": crop,
+    });
+    Ok(identity.to_string() + "\n")
 }
 
 /// The face in a frame, also written into `folder`.
@@ -688,7 +688,7 @@ impl Work<'_> {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::{Value, json};
+    use serde_json::Value;
 
     use super::*;
     use crate::ErrorKind;

@@ -200,7 +200,17 @@ impl Outputs {
         };
         let found = if self.force { None } else { read_text(&note, FileKind::Settings).ok() };
         if found.as_deref() != Some(identity) {
-            self.prepare(&source.stems())?;
+            let prepared = self.prepare(&source.stems());
+            match found {
+                // Earlier versions wrote other text than JSON.
+                Some(text) if !text.starts_with('{') => prepared.with_context(|| {
+                    format!(
+                        "{}: an earlier version of srflow began this run, and this one cannot continue it",
+                        note.display()
+                    )
+                })?,
+                _ => prepared?,
+            }
             write_file(&note, identity)?;
             return Ok(0);
         }

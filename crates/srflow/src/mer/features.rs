@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use srflow_eval::MethodRecord;
-use srflow_mer::{DataRecord, FEATURE_SIDE, FeatureRecipe, RunMethod, compute_features, write_features};
+use srflow_mer::{DataRecord, FEATURE_SIDE, FeatureRecipe, RunMethod, RunWatch, compute_features, write_features};
 use srflow_read::micro_expression::ClipSource;
 
 use super::progress::RunProgress;
@@ -104,8 +104,8 @@ impl Job for FeaturesJob {
         let progress = RunProgress::new(watch);
         let apex = self.preparation.apex;
         let cache = self.cache.as_deref();
-        let set =
-            compute_features(datasets, &methods, apex, &preparation, cache, &|event| progress.show(event))?;
+        let run_watch = RunWatch { on_event: &|event| progress.show(event), stop: watch.stop };
+        let set = compute_features(datasets, &methods, apex, &preparation, cache, run_watch)?;
         let recipe =
             FeatureRecipe { classes: classes.names(), methods: &records, preparation: &preparation, apex };
         write_features(&self.out, &set, &recipe)?;

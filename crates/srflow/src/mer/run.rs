@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize, Serializer};
 use srflow_core::Shard;
 use srflow_files::create_folder;
 use srflow_mer::{
-    ClassifierEntry, Preparation, Protocol, ResultsFolder, ResultsRecord, RunFolders, RunMethod, RunResults,
-    RunSettings, Sets, TrainedPart, all_score_tables, by_set, unseen_classes,
+    ClassifierEntry, Preparation, Protocol, ResultsFolder, ResultsRecord, RunError, RunFolders, RunMethod, RunResults,
+    RunSettings, RunWatch, Sets, TrainedPart, all_score_tables, by_set, unseen_classes,
 };
 use srflow_read::micro_expression::ClipSource;
 
@@ -16,7 +16,7 @@ use super::progress::RunProgress;
 use super::{PreparationArgs, SourceArgs};
 use crate::clap::Args;
 use crate::methods::{self, MethodParameters, MethodSpec, Rows, RowsArgs, default_methods};
-use crate::output::{ensure_folder, write_line, write_tables};
+use crate::output::{ensure_folder, write_line, write_page, write_tables};
 use crate::rendering::{Rendered, ShardArgs};
 use crate::{Job, Report, Watch, WhenStopped, machine};
 
@@ -152,17 +152,25 @@ impl Job for RunJob {
             folds: &folder.folds(),
         };
         let progress = RunProgress::new(watch);
-        let on_event = |event: srflow_mer::RunEvent| progress.show(event);
+        let run_watch = RunWatch { on_event: &|event| progress.show(event), stop: watch.stop };
         let shard = self.shard.taken()?;
         if shard.shard != Shard::WHOLE {
             let (part, methods) = (shard.shard, methods.collect());
-            let trained = srflow_mer::run_part(datasets, methods, &settings, folders, part, &on_event)?;
-            return Ok(RunReport::Part(Rendered { report: trained, shard }));
+            let trained = srflow_mer::run_part(datasets, methods, &settings, folders, part, run_watch);
+            return Ok(match trained {
+                Ok(trained) => RunReport::Part(Rendered { report: trained, shard }),
+                Err(RunError::Stopped) => RunReport::Stopped { complete: false },
+                Err(error) => return Err(error.into()),
+            });
         }
-        let results = srflow_mer::run(datasets, methods.collect(), settings, folders, &on_event)?;
+        let results = match srflow_mer::run(datasets, methods.collect(), settings, folders, run_watch) {
+            Ok(results) => Box::new(results),
+            Err(RunError::Stopped) => return Ok(RunReport::Stopped { complete: false }),
+            Err(error) => return Err(error.into()),
+        };
         let machine = machine::describe();
         folder.write(&results, &machine)?;
-        Ok(RunReport::Results(Results { results: Box::new(results), machine, page: folder.report() }))
+        Ok(RunReport::Results(Results { results, machine, page: folder.report() }))
     }
 }
 
@@ -174,6 +182,8 @@ pub enum RunReport {
     Results(Results),
     /// A part of the folds is trained.
     Part(Rendered<TrainedPart>),
+    /// The run was stopped before its last fold; `complete` is `false`.
+    Stopped { complete: bool },
 }
 
 /// The results of a run, as its folder holds them.
@@ -192,7 +202,11 @@ impl Serialize for Results {
     }
 }
 
-impl Report for RunReport {}
+impl Report for RunReport {
+    fn stopped(&self) -> bool {
+        matches!(self, Self::Stopped { .. })
+    }
+}
 
 impl fmt::Display for RunReport {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
@@ -203,6 +217,7 @@ impl fmt::Display for RunReport {
                 "Part {} is complete: {folds} of {all_folds} folds. When all parts are, the same command without --shard writes the results.",
                 shard.shard
             ),
+            Self::Stopped { .. } => writeln!(f, "Stopped; the same run continues after the last finished fold"),
         }
     }
 }
@@ -217,7 +232,6 @@ impl fmt::Display for Results {
                 write_line(f, format_args!("{note}"))?;
             }
         }
-        writeln!(f)?;
-        write_line(f, format_args!("Report: {}", self.page.display()))
+        write_page(f, &self.page)
     }
 }

@@ -71,6 +71,6 @@ impl fmt::Display for SynthMade {
         let classes: Vec<String> = classes.iter().map(|(class, clips)| format!("{clips} {class}")).collect();
         writeln!(f, "{subjects} subjects, {frames} frames, {}", classes.join(", "))?;
         writeln!(f, "true flow from onset to apex: {mean_flow:.3} px on average on the head")?;
-        writeln!(f, "read it with clips:{}", self.out.display())
+        write_line(f, format_args!("read it with clips:{}", self.out.display()))
     }
 }

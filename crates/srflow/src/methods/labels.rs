@@ -3,8 +3,6 @@
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
-use srflow_core::{EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image};
-
 use super::{Method, MethodSpec};
 
 /// The methods' labels, or their names if they have none. If a network occurs with several weights, their file names are
@@ -47,43 +45,6 @@ fn distinguishing_suffix(path: &str, paths: &[&str], folders: bool) -> String {
         ends.len() == paths.len()
     };
     (0..longest).find(differ).map_or_else(|| path.to_owned(), |folders| end(path, folders))
-}
-
-/// An estimator under the name given on the command line.
-pub struct Labelled {
-    pub label: String,
-    pub estimator: Box<dyn FlowEstimator>,
-}
-
-impl FlowEstimator for Labelled {
-    fn name(&self) -> &str {
-        &self.label
-    }
-
-    fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        self.estimator.estimate(frame1, frame2)
-    }
-
-    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowEstimate>, EstimateError> {
-        self.estimator.estimate_pairs(pairs)
-    }
-
-    fn estimate_from(
-        &self,
-        frame1: &Image,
-        frame2: &Image,
-        initial: &FlowField,
-    ) -> Result<FlowEstimate, EstimateError> {
-        self.estimator.estimate_from(frame1, frame2, initial)
-    }
-
-    fn remembers(&self) -> bool {
-        self.estimator.remembers()
-    }
-
-    fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
-        self.estimator.sequence(warm_start)
-    }
 }
 
 #[cfg(test)]

@@ -11,17 +11,17 @@ use std::str::FromStr;
 use crate::clap::Args;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
-use srflow_classical::{Farneback, FarnebackParameters, Refined, TvL1, TvL1Parameters};
+use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
 use srflow_core::{FlowEstimator, FlowField, Image};
 use srflow_eval::{FlowFiles, Zero};
-use srflow_nets::{Architecture, Iterations, Scaled, Tiled};
+use srflow_nets::{Architecture, Iterations, Wrapped};
 use srflow_read::flow::FlowDataset;
 
 use crate::Watch;
 use crate::error::wrong_settings;
 use crate::large_frames::LargeFrames;
 use crate::networks::NetworkArgs;
-use labels::{Labelled, labels};
+use labels::labels;
 pub use record::records;
 pub use rows::{Rows, RowsArgs};
 
@@ -433,19 +433,10 @@ fn built(
         }
         Method::Files => wrong_settings!("files:DIR estimates nothing"),
     };
-    let tiled = match large_frames.tiling(spec.method, &parameters.network)? {
-        Some(tiling) => Box::new(Tiled::new(estimator, tiling)),
-        None => estimator,
-    };
-    let scaled: Box<dyn FlowEstimator> = match large_frames.scale {
-        Some(factor) => Box::new(Scaled::new(tiled, factor)?),
-        None => tiled,
-    };
-    let estimator: Box<dyn FlowEstimator> = match parameters.refinement() {
-        Some(refinement) => Box::new(Refined::new(scaled, TvL1::new(refinement)?)),
-        None => scaled,
-    };
-    Ok(if estimator.name() == label { estimator } else { Box::new(Labelled { label, estimator }) })
+    let tiling = large_frames.tiling(spec.method, &parameters.network)?;
+    let refinement = parameters.refinement().map(TvL1::new).transpose()?;
+    let wrapped = Wrapped::new(estimator).labelled(label).tiled(tiling).scaled(large_frames.scale)?;
+    Ok(Box::new(wrapped.refined(refinement)))
 }
 
 /// Whether one of the methods refines its flow until it is still, so that pairs differ in their iterations.
@@ -476,7 +467,9 @@ impl FarnebackArgs {
 impl MethodParameters {
     /// The parameters of the refinement, if there is one.
     fn refinement(&self) -> Option<TvL1Parameters> {
-        self.refine.then(|| self.tvl1.or(Refined::parameters()))
+        // More warps fit the noise.
+        let once = TvL1Parameters { nscales: 1, warps: 1, ..TvL1Parameters::default() };
+        self.refine.then(|| self.tvl1.or(once))
     }
 }
 

@@ -1,15 +1,19 @@
 //! The description of flow methods that results store.
 
+use std::fmt;
+
+use serde::Serialize;
+use serde_json::{Value, json};
 use srflow_classical::TvL1Parameters;
 use srflow_eval::MethodRecord;
 use srflow_mer::file_digest;
-use srflow_nets::included_sha256;
+use srflow_nets::{Architecture, included_sha256};
 use srflow_ops::Precision;
 
 use super::labels::labels;
 use super::{Method, MethodParameters, MethodSpec, distinct};
 use crate::Watch;
-use crate::networks::Weights;
+use crate::networks::{NetworkArgs, Weights};
 
 /// One record per method, in the order of [`super::estimators`].
 ///
@@ -33,58 +37,89 @@ fn record(
 ) -> anyhow::Result<MethodRecord> {
     let MethodParameters { network, large_frames, farneback, tvl1, .. } = parameters;
     let network = network.of(spec.iterations, &spec.settings);
-    let (mut own, weights) = match spec.method {
-        Method::Farneback => (format!("{:?}", farneback.parameters()), None),
-        Method::TvL1 => (format!("{:?}", tvl1.or(TvL1Parameters::default())), None),
+    let (mut text, settings, weights) = match spec.method {
+        Method::Farneback => classical(&farneback.parameters())?,
+        Method::TvL1 => classical(&tvl1.or(TvL1Parameters::default()))?,
         Method::Network(architecture) => {
-            let most = network.iterations(architecture);
-            let iterations = match network.still_px(architecture) {
-                Some(px) => format!("at most {most} iterations, until the flow moves less than {px} px,"),
-                None => format!("{most} iterations"),
-            };
-            let mut own = format!("{iterations} on {}", network.device);
-            let precision = network.precision()?;
-            if precision != Precision::F32 {
-                own += &format!(" at {}", precision.name());
-            }
-            let tolerance = network.attention_tolerance(architecture);
-            if tolerance > 0.0 {
-                own += &format!(", attention within {tolerance}");
-            }
-            for (name, value) in network.settings(architecture)? {
-                own += &format!(", {name}={value}");
-            }
-            (own, Some((architecture, network.weights_of(architecture, spec.weights.as_deref(), watch)?)))
+            let (text, settings) = of_network(&network, architecture)?;
+            let weights = network.weights_of(architecture, spec.weights.as_deref(), watch)?;
+            (text, settings, Some((architecture, weights)))
         }
-        Method::Files => (format!("files in {}", spec.weights.as_deref().unwrap_or_default()), None),
+        Method::Files => {
+            let folder = spec.weights.as_deref().unwrap_or_default();
+            (format!("files in {folder}"), json!({ "folder": folder }), None)
+        }
     };
-    let network_of = |architecture| (network.iterations(architecture), network.device.clone());
-    let (iterations, device) = match spec.method {
-        Method::Network(architecture) => Some(network_of(architecture)).unzip(),
-        _ => (None, None),
-    };
-    let still_px = spec.method.network().and_then(|architecture| network.still_px(architecture));
+    let refinement = parameters.refinement();
     if large_frames.given() {
-        own += &format!(", {large_frames:?}");
+        text += &format!(", {large_frames:?}");
     }
-    if let Some(refinement) = parameters.refinement() {
-        own += &format!(", refined by {refinement:?}");
+    if let Some(refinement) = &refinement {
+        text += &format!(", refined by {refinement:?}");
     }
     let (weights, sha256) = match weights {
         None => (None, None),
         Some((_, Weights::File(path))) => (Some(path.display().to_string()), Some(file_digest(&path)?)),
         Some((network, Weights::Included)) => (Some("included".to_owned()), included_sha256(network)),
     };
+    let method = spec.method.name();
+    let large_frames = large_frames.given().then_some(large_frames);
+    let architecture = spec.method.network();
     Ok(MethodRecord {
         name,
-        method: spec.method.name(),
-        parameters: own,
+        method,
+        parameters: text,
+        identity: json!({
+            "version": 1,
+            "method": method,
+            "settings": settings,
+            "weights": sha256,
+            "large_frames": large_frames,
+            "refinement": refinement,
+        }),
         sha256,
         weights,
-        iterations,
-        still_px,
-        device,
+        iterations: architecture.map(|architecture| network.iterations(architecture)),
+        still_px: architecture.and_then(|architecture| network.still_px(architecture)),
+        device: architecture.map(|_| network.device.clone()),
     })
+}
+
+type Described = (String, Value, Option<(Architecture, Weights)>);
+
+fn classical(parameters: &(impl fmt::Debug + Serialize)) -> anyhow::Result<Described> {
+    Ok((format!("{parameters:?}"), serde_json::to_value(parameters)?, None))
+}
+
+/// The settings that the flow of a network depends on, besides its weights, as text and as JSON.
+fn of_network(network: &NetworkArgs, architecture: Architecture) -> anyhow::Result<(String, Value)> {
+    let (iterations, still_px) = (network.iterations(architecture), network.still_px(architecture));
+    let mut text = match still_px {
+        Some(px) => format!("at most {iterations} iterations, until the flow moves less than {px} px,"),
+        None => format!("{iterations} iterations"),
+    };
+    text += &format!(" on {}", network.device);
+    let precision = network.precision()?;
+    if precision != Precision::F32 {
+        text += &format!(" at {}", precision.name());
+    }
+    let tolerance = network.attention_tolerance(architecture);
+    if tolerance > 0.0 {
+        text += &format!(", attention within {tolerance}");
+    }
+    let own = network.settings(architecture)?;
+    for (name, value) in &own {
+        text += &format!(", {name}={value}");
+    }
+    let settings = json!({
+        "iterations": iterations,
+        "still_px": still_px,
+        "device": network.device,
+        "precision": precision.name(),
+        "attention_tolerance": tolerance,
+        "own": own,
+    });
+    Ok((text, settings))
 }
 
 #[cfg(test)]
@@ -103,8 +138,9 @@ mod tests {
             [format!("raft={a}"), format!("x:raft={same}"), format!("raft={other}"), format!("gma={a}")];
         let specs: Vec<MethodSpec> =
             specs.iter().map(String::as_str).chain(["tvl1"]).map(|text| text.parse().unwrap()).collect();
-        let of = |parameters: &MethodParameters| -> Vec<String> {
-            records(&specs, parameters, &Watch::SILENT).unwrap().iter().map(MethodRecord::identity).collect()
+        let of = |parameters: &MethodParameters| -> Vec<Value> {
+            let records = records(&specs, parameters, &Watch::SILENT).unwrap();
+            records.into_iter().map(|record| record.identity).collect()
         };
         let plain = of(&MethodParameters::default());
         assert_eq!(plain[0], plain[1], "neither name nor place of the weights");
@@ -116,8 +152,8 @@ mod tests {
             let record =
                 records(&specs_of_auto, &MethodParameters::default(), &Watch::SILENT).unwrap().remove(0);
             assert_eq!(record.still_px.is_some(), iterations.starts_with("auto"));
-            assert!(!identities.contains(&record.identity()), "{iterations}");
-            identities.push(record.identity());
+            assert!(!identities.contains(&record.identity), "{iterations}");
+            identities.push(record.identity);
         }
         let mut parameters = MethodParameters::default();
         parameters.tvl1.tau = Some(0.125);

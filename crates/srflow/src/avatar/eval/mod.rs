@@ -24,7 +24,7 @@ use self::panels::{FlowPanels, Panels, PicturePanels};
 use super::scores::{camera_table, mesh_table, split_table, split_words};
 use crate::clap::Args;
 use crate::error::wrong_settings;
-use crate::output::{ensure_folder, ensure_free, write_tables};
+use crate::output::{ensure_folder, ensure_free, write_page, write_tables};
 use crate::{Job, Report, Watch};
 
 /// Score a trained avatar on its capture: its pictures, and how exact its flow is
@@ -401,7 +401,7 @@ impl fmt::Display for EvalReport {
             write_tables(f, &flow)?;
         }
         if let Some(out) = &self.out {
-            writeln!(f, "\nReport: {}", out.join(REPORT_NAME).display())?;
+            write_page(f, &out.join(REPORT_NAME))?;
         }
         Ok(())
     }

@@ -21,7 +21,7 @@ use srflow_files::{Preset, SettingsError, read_settings, settings_text, with_set
 use super::scores::{split_table, split_words};
 use crate::clap::Args;
 use crate::error::wrong_settings;
-use crate::output::{ensure_folder, write_tables};
+use crate::output::{ensure_folder, write_line, write_tables};
 use crate::render::head_help;
 use crate::watch::Progress;
 use crate::{Job, Report, Watch, WhenStopped, machine};
@@ -332,10 +332,11 @@ impl fmt::Display for TrainedAvatar {
         }
         let (Some(avatar), Some(report)) = (&self.avatar, &self.report) else {
             let run = self.run.display();
-            return writeln!(f, "Stopped on request; srflow avatar train --resume {run} continues");
+            return write_line(f, format_args!("Stopped on request; srflow avatar train --resume {run} continues"));
         };
-        writeln!(f, "Avatar       {}", avatar.display())?;
-        writeln!(f, "Report       {}\n", report.display())?;
+        write_line(f, format_args!("Avatar       {}", avatar.display()))?;
+        write_line(f, format_args!("Report       {}", report.display()))?;
+        writeln!(f)?;
         if self.scores.is_empty() {
             return writeln!(
                 f,

@@ -4,9 +4,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 use srflow_core::resize::resize_cubic;
 use srflow_core::{FlowEstimator, Plane, luminance, named, serialize_as_text};
+use srflow_data::micro_expression::Clip;
 use srflow_face::{FacePoints, FrameCrop};
 use srflow_files::read_image;
-use srflow_read::micro_expression::Clip;
 
 use crate::extract::{ExtractError, ExtractProblem};
 use crate::face::FaceCrop;

@@ -8,9 +8,9 @@ use srflow_core::resize::{resize_cubic, resize_flow_area};
 use srflow_core::{
     EstimateError, FlowEstimator, FlowField, Image, Plane, in_stages, named, printable, serialize_as_text,
 };
+use srflow_data::micro_expression::Clip;
 use srflow_face::{FaceError, FrameCrop};
 use srflow_files::{FileError, read_image};
-use srflow_read::micro_expression::Clip;
 
 use crate::cache::{FeatureCache, FeatureKey};
 use crate::face::FaceCrop;

@@ -9,9 +9,9 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use srflow_core::excerpt;
+use srflow_data::micro_expression::{Annotation, Clip};
 use srflow_face::{FaceBox, FaceError, FaceFinder, FacePoints, FrameCrop, LandmarkTable, write_landmarks};
 use srflow_files::read_image;
-use srflow_read::micro_expression::{Annotation, Clip};
 
 use crate::extract::{ExtractError, ExtractProblem};
 

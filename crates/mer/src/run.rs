@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use srflow_core::{FlowEstimator, Shard};
+use srflow_data::micro_expression::{Clip, ClipDataset};
 use srflow_eval::MethodRecord;
 use srflow_files::FileError;
-use srflow_read::micro_expression::{Clip, ClipDataset};
 
 use crate::apex::{ApexRule, fill_apexes};
 use crate::cache::FeatureCache;

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use srflow_avatar::HeadModelError;
 use srflow_core::SettingError;
+use srflow_data::manifest::ManifestError;
+use srflow_data::micro_expression::MicroExpressionError;
 use srflow_files::FileError;
-use srflow_read::manifest::ManifestError;
-use srflow_read::micro_expression::MicroExpressionError;
 use srflow_splat::RasterizeError;
 
 use crate::record::RecordError;

@@ -7,7 +7,7 @@
 use serde::Serialize;
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView};
 use srflow_avatar::{Avatar, HeadPose, PosedHead};
-use srflow_read::region_map::HeadPart;
+use srflow_data::region_map::HeadPart;
 use srflow_splat::{Camera, DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, RasterizeError};
 
 use crate::RenderError;

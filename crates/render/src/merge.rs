@@ -10,8 +10,8 @@ use std::sync::{Mutex, PoisonError};
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::Value;
+use srflow_data::manifest::Manifest;
 use srflow_files::{FileError, FileKind, create_folder, read_text, remove_partial, write_atomically};
-use srflow_read::manifest::Manifest;
 
 use crate::RenderError;
 use crate::generate::write_statistics;

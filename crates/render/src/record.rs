@@ -9,7 +9,7 @@ use srflow_files::{FileKind, read_text};
 
 use crate::RenderError;
 use crate::statistics::FlowSummary;
-use srflow_read::manifest::CameraRecord;
+use srflow_data::manifest::CameraRecord;
 
 /// The contents of `pairs/SCENE/NNNNN.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

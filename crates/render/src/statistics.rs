@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use srflow_core::{FlowField, Mask};
 
-use srflow_read::manifest::{Manifest, SceneSplit};
+use srflow_data::manifest::{Manifest, SceneSplit};
 
 /// Bins of the histogram: below 1/16 px, then one for each power of two up to 128 px, and above.
 pub const BINS: usize = 13;

@@ -3,8 +3,8 @@
 
 mod tiny;
 
+use srflow_data::manifest::Manifest;
 use srflow_files::{read_flow, read_image, read_mask};
-use srflow_read::manifest::Manifest;
 use srflow_render::check::check_rerendered;
 use srflow_render::generate::{Settings, generate};
 use srflow_render::job::Request;

@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, HeadRecord, write_tracked};
 use srflow_avatar::{Avatar, HeadModel, HeadPose};
-use srflow_read::region_map::HeadPart;
+use srflow_data::region_map::HeadPart;
 use srflow_render::capture::{CaptureSettings, TrueCapture, capture};
 use srflow_render::job::Request;
 use srflow_render::label_error::{

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use srflow_core::Image;
+use srflow_data::flow::{FlowDataset, MadePairs, Sample, Split};
 use srflow_files::{FlowFormat, write_image_png};
-use srflow_read::flow::{FlowDataset, MadePairs, Sample, Split};
 use srflow_render::generate::{Background, ScenePairs, Settings, generate};
 use srflow_render::job::Request;
 use srflow_render::shapes::{ShapePairs, ShapesSettings, shapes};

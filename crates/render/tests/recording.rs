@@ -7,9 +7,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use srflow_core::Shard;
+use srflow_data::manifest::{Manifest, Recording};
 use srflow_files::SHA256SUMS;
 use srflow_files::read_image;
-use srflow_read::manifest::{Manifest, Recording};
 use srflow_render::check::check;
 use srflow_render::generate::{Background, MotionSource, Settings, generate};
 use srflow_render::job::Request;

@@ -6,11 +6,11 @@ mod tree;
 use std::path::{Path, PathBuf};
 
 use srflow_core::Shard;
+use srflow_data::flow::{DatasetSpec, FlowDataset, Split};
+use srflow_data::manifest::Manifest;
+use srflow_data::region_map::HeadPart;
 use srflow_files::SHA256SUMS;
 use srflow_files::{read_labels, read_mask};
-use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
-use srflow_read::manifest::Manifest;
-use srflow_read::region_map::HeadPart;
 use srflow_render::generate::{Settings, generate};
 use srflow_render::job::Request;
 

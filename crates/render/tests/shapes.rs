@@ -7,8 +7,8 @@ use std::path::Path;
 
 use srflow_core::Image;
 use srflow_core::Shard;
+use srflow_data::flow::{FlowDataset, Split};
 use srflow_files::{read_flow, read_image, read_mask, write_image_png};
-use srflow_read::flow::{FlowDataset, Split};
 use srflow_render::RenderError;
 use srflow_render::job::Request;
 use srflow_render::shapes::{ShapesReport, ShapesSettings, shapes};

@@ -7,8 +7,8 @@ use std::path::Path;
 use std::sync::Mutex;
 
 use srflow_core::Shard;
+use srflow_data::micro_expression::{Classes, ClipDataset, count_classes};
 use srflow_files::{read_flow, read_image, read_mask};
-use srflow_read::micro_expression::{Classes, ClipDataset, count_classes};
 use srflow_render::RenderError;
 use srflow_render::job::{Event, Request};
 use srflow_render::synth::{SynthReport, SynthSettings, synthesize};

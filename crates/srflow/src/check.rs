@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
-use srflow_read::manifest::Manifest;
+use srflow_data::manifest::Manifest;
 use srflow_render::check::{CheckReport, Problem, Rerendered, check, check_hashes, check_rerendered};
 
 use crate::clap::Args;

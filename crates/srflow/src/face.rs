@@ -7,11 +7,11 @@ use crate::clap::Args;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_core::Image;
+use srflow_data::micro_expression::Clip;
 use srflow_face::{
     FaceBox, FaceFinder, FacePoints, FrameCrop, LandmarkTable, MODEL_SOURCES, write_landmarks,
 };
 use srflow_mer::{FaceCrop, Landmarks};
-use srflow_read::micro_expression::Clip;
 
 use crate::Watch;
 use crate::error::wrong_settings;

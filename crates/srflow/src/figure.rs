@@ -7,10 +7,10 @@ use std::str::FromStr;
 use anyhow::{Context as _, bail, ensure};
 use serde::{Deserialize, Serialize};
 use srflow_core::{FlowField, Mask, SettingError, Size, excerpt, excerpts, serialize_as_text};
+use srflow_data::flow::{DatasetSpec, FlowDataset, Split};
 use srflow_eval::{Window, head_window, spread};
 use srflow_figure::{Composed, Ends, Figure, Pair, Plan, Scales, Style, check_text, resolve};
 use srflow_files::{create_folder, read_flow, read_image, write_file, write_image_png};
-use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 
 pub use srflow_figure::{Column, Length, Scale};
 

@@ -8,12 +8,12 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 use srflow_core::Metrics;
+use srflow_data::flow::FlowDataset;
 use srflow_eval::{
     Column, Region, Row, SCORES, ScoreColumn, Table, dataset_title, improvement_columns, improvement_percent,
     score_columns,
 };
 use srflow_files::{FileKind, parse_error_in_words, read_text, write_file};
-use srflow_read::flow::FlowDataset;
 
 use crate::checkpoint::Checkpoints;
 use crate::config::{Config, Source};

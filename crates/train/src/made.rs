@@ -3,7 +3,7 @@
 use rayon::ThreadPool;
 use srflow_core::random::Key;
 use srflow_core::{Recent, Spares};
-use srflow_read::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
+use srflow_data::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
 
 use crate::config::{Config, MadeKind, MadeSpec};
 use crate::training_set::{DataError, OpenMade};

@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crate::augment::{AugmentError, Augmentation};
 use srflow_core::Size;
 use srflow_core::random::Key;
-use srflow_read::flow::{
+use srflow_data::flow::{
     DatasetError, DatasetSpec, Entry, FlowDataset, MadeError, MadePairs, Sample, Split, TruthDensity,
 };
 

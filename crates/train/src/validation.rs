@@ -4,9 +4,9 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 
 use burn::tensor::Device;
+use srflow_data::flow::{DatasetError, FlowDataset, Split};
 use srflow_eval::{Evaluation, Method, Settings, evaluate};
 use srflow_nets::{Network, NetworkEstimator, load_network};
-use srflow_read::flow::{DatasetError, FlowDataset, Split};
 
 use crate::config::{Config, Source};
 use crate::run::TrainError;

@@ -13,11 +13,11 @@ const PIPELINE: [&str; 23] = [
     "srflow-splat",
     "srflow-avatar",
     "srflow-fetch",
-    "srflow-read",
+    "srflow-pack",
+    "srflow-data",
     "srflow-render",
     "srflow-classical",
     "srflow-eval",
-    "srflow-golden",
     "srflow-ops",
     "srflow-face",
     "srflow-nn",
@@ -57,7 +57,8 @@ fn crates_depend_only_on_crates_above_them() {
         let own = rank(name).unwrap_or_else(|| panic!("{name} is missing in PIPELINE and ARCHITECTURE.md"));
         for dependency in package["dependencies"].as_array().expect("dependencies") {
             let dependency = dependency["name"].as_str().expect("name");
-            if let Some(other) = rank(dependency) {
+            // Tests of a crate may turn on one of its features.
+            if let Some(other) = rank(dependency).filter(|_| dependency != name) {
                 assert!(other < own, "{name} must not depend on {dependency}, which comes after it");
             }
         }
@@ -79,7 +80,7 @@ fn readers_do_not_depend_on_the_renderer() {
             .filter(|name| PIPELINE.contains(name))
             .collect()
     };
-    for name in ["srflow-read", "srflow-eval", "srflow-nets", "srflow-train", "srflow-mer"] {
+    for name in ["srflow-data", "srflow-eval", "srflow-nets", "srflow-train", "srflow-mer"] {
         let mut reached = vec![name];
         let mut next = 0;
         while let Some(&at) = reached.get(next) {

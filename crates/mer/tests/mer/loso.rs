@@ -5,12 +5,12 @@ use std::sync::Mutex;
 
 use srflow_core::Plane;
 use srflow_core::random::Key;
+use srflow_data::micro_expression::Classes;
 use srflow_mer::{
     Classifier, FEATURE_SIDE, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError, LosoEvent, OffTaNet,
     Protocol, Sample, StstNet, Summary, leave_one_subject_out, leave_one_subject_out_by, read_predictions,
     write_predictions,
 };
-use srflow_read::micro_expression::Classes;
 
 const NEGATIVE: usize = 0;
 const POSITIVE: usize = 1;

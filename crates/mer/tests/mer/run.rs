@@ -5,13 +5,13 @@ use std::path::Path;
 use std::sync::Mutex;
 
 use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
+use srflow_data::micro_expression::{Classes, ClipDataset, ClipSource};
 use srflow_eval::MethodRecord;
 use srflow_files::write_image_png;
 use srflow_mer::{
     ApexRule, FeatureRecipe, Preparation, Protocol, RunError, RunEvent, RunFolders, RunMethod, RunResults,
     RunSettings, Sets, compute_features, run, write_features,
 };
-use srflow_read::micro_expression::{Classes, ClipDataset, ClipSource};
 
 /// A flow from the brightness of the second picture.
 struct Brightness;

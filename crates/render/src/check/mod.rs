@@ -17,8 +17,8 @@ use crate::record::PairRecord;
 use crate::statistics::{BINS, FlowSummary, Statistics, bin_edges};
 pub use again::{Rerendered, check_hashes, check_rerendered};
 use plan::{Expected, problems_of_manifest, unexpected_files};
-use srflow_read::manifest::{FrameFiles, Manifest, ManifestError, STATISTICS_NAME, SceneEntry};
-use srflow_read::region_map::read_region_map;
+use srflow_data::manifest::{FrameFiles, Manifest, ManifestError, STATISTICS_NAME, SceneEntry};
+use srflow_data::region_map::read_region_map;
 
 /// Maximum number of pairs examined at once, each with about 0.3 GB at 2200x3208.
 const MAX_AT_ONCE: usize = 16;

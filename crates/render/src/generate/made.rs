@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use srflow_avatar::Avatars;
 use srflow_core::{Recent, Spares};
-use srflow_read::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
-use srflow_read::manifest::SceneSplit;
+use srflow_data::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
+use srflow_data::manifest::SceneSplit;
 
 use super::background::{self, Background};
 use super::rig::Rig;

@@ -25,7 +25,7 @@ use crate::RenderError;
 use crate::job::{self, Made, Request};
 use crate::record::{PairRecord, json_text};
 use crate::statistics::{FlowSummary, Statistics};
-use srflow_read::manifest::{Manifest, STATISTICS_NAME};
+use srflow_data::manifest::{Manifest, STATISTICS_NAME};
 
 pub use background::Background;
 pub(crate) use background::images_in;

@@ -21,8 +21,8 @@ use crate::camera::record_from_camera;
 use crate::record::FrameRecord;
 use crate::recording::Recorder;
 use crate::synth::action_unit_sets;
-use srflow_read::manifest::SceneEntry;
-use srflow_read::micro_expression::EmotionClass;
+use srflow_data::manifest::SceneEntry;
+use srflow_data::micro_expression::EmotionClass;
 
 /// Frame rate of the motion. NeRSemble records 73 frames per second, at which expressions hardly move between frames.
 const FRAMES_PER_SECOND: f32 = 24.0;

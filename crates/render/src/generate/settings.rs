@@ -15,7 +15,7 @@ use super::{FULL_SIZE, MotionSource, Rig};
 use crate::clap::Args;
 use crate::error::check_size;
 use crate::{RenderError, head};
-use srflow_read::manifest::{
+use srflow_data::manifest::{
     Arguments, LAYOUT_VERSION, MANIFEST_NAME, Manifest, Recording, SceneEntry, SceneSplit,
 };
 

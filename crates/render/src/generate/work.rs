@@ -26,8 +26,8 @@ use crate::parts::PartWeights;
 use crate::record::{PairRecord, json_text};
 use crate::recording::Exposure;
 use crate::statistics::FlowSummary;
-use srflow_read::flow::Sample;
-use srflow_read::manifest::{
+use srflow_data::flow::Sample;
+use srflow_data::manifest::{
     FrameFiles, MANIFEST_NAME, Manifest, PairFiles, STATISTICS_NAME, SceneEntry, SceneSplit,
 };
 

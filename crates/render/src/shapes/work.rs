@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 use srflow_core::random::{Key, Stream};
 use srflow_core::resize::resize_image_antialiased;
 use srflow_core::{Image, Spares};
+use srflow_data::flow::{MadeError, MadePairs, Sample};
 use srflow_files::{FlowFormat, read_image, write_flow_as, write_image_png, write_mask_png};
-use srflow_read::flow::{MadeError, MadePairs, Sample};
 
 use super::settings::MAX_PAIRS;
 use super::texture::Texture;

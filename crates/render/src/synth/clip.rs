@@ -3,7 +3,7 @@
 use glam::{DVec3, EulerRot, Quat, Vec3};
 use srflow_avatar::{Avatar, HeadModelError, HeadPose, MicroExpression, PosedHead};
 use srflow_core::random::{Key, Stream};
-use srflow_read::micro_expression::EmotionClass;
+use srflow_data::micro_expression::EmotionClass;
 use srflow_splat::{Camera, Gaussians};
 
 use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};

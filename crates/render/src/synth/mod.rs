@@ -23,8 +23,8 @@ use std::io::Write;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use srflow_data::micro_expression::EmotionClass;
 use srflow_files::write_atomically;
-use srflow_read::micro_expression::EmotionClass;
 
 pub(crate) use clip::action_unit_sets;
 pub use settings::SynthSettings;
@@ -33,7 +33,7 @@ use crate::RenderError;
 use crate::job::{self, Request};
 use crate::record::read_record;
 use settings::ClipPlan;
-use srflow_read::micro_expression::{Annotation, Classes, PLAIN_NAME, write_plain};
+use srflow_data::micro_expression::{Annotation, Classes, PLAIN_NAME, write_plain};
 pub(crate) use work::Clips;
 
 /// Name of the file with the arguments.

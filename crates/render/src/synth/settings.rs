@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use srflow_core::random::Key;
+use srflow_data::micro_expression::EmotionClass;
 use srflow_files::FlowFormat;
-use srflow_read::micro_expression::EmotionClass;
 
 use crate::RenderError;
 use crate::clap::Args;

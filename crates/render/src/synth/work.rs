@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatar, PosedHead};
+use srflow_data::micro_expression::PLAIN_NAME;
 use srflow_files::{write_file, write_flow_as, write_image_png, write_mask_png};
-use srflow_read::micro_expression::PLAIN_NAME;
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::clip::Clip;

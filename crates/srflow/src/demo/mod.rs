@@ -13,10 +13,10 @@ use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatars, HeadSource};
 use srflow_core::{FlowEstimator, Size};
+use srflow_data::flow::{DatasetSpec, FlowDataset};
 use srflow_eval::report::{Figure, pair_figures};
 use srflow_eval::{Evaluation, Settings};
 use srflow_files::write_file;
-use srflow_read::flow::{DatasetSpec, FlowDataset};
 use srflow_render::generate::FULL_SIZE;
 
 use crate::clap::Args;

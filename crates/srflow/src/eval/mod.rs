@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use srflow_core::{SettingError, Shard, Size};
+use srflow_data::flow::{DatasetSpec, FlowDataset, KINDS, Split};
 use srflow_eval::report::{Figure, pair_figures, score_report};
 use srflow_eval::{
     Evaluation, Method, MethodRecord, OnFailure, ScoredPair, Settings, TextStyle, Window, joined,
@@ -17,7 +18,6 @@ use srflow_eval::{
 use srflow_face::FaceBox;
 use srflow_figure::{Content, Pair, Plan, Scale, Scales, Source as Flow, Style};
 use srflow_files::{create_folder, write_file};
-use srflow_read::flow::{DatasetSpec, FlowDataset, KINDS, Split};
 
 use self::kept::Kept;
 use crate::clap::Args;

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
+use srflow_data::micro_expression::ClipDataset;
 use srflow_mer::{ApexRule, Preparation, ResizeOrder, StrainFormula};
-use srflow_read::micro_expression::ClipDataset;
 
 use crate::Watch;
 use crate::clap::Args;

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize, Serializer};
 use srflow_core::Shard;
+use srflow_data::micro_expression::ClipSource;
 use srflow_files::create_folder;
 use srflow_mer::{
     ClassifierEntry, Preparation, Protocol, ResultsFolder, ResultsRecord, RunFolders, RunMethod, RunResults,
     RunSettings, Sets, TrainedPart, all_score_tables, by_set, unseen_classes,
 };
-use srflow_read::micro_expression::ClipSource;
 
 use super::progress::RunProgress;
 use super::{PreparationArgs, SourceArgs};

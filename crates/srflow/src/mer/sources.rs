@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
 use serde::{Deserialize, Serialize};
-use srflow_read::micro_expression::{
+use srflow_data::micro_expression::{
     CLASS_SETS, CLIP_KINDS, Classes, ClipDataset, ClipSource, check_distinct,
 };
 

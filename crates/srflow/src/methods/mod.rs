@@ -13,9 +13,9 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use srflow_classical::{Farneback, FarnebackParameters, Refined, TvL1, TvL1Parameters};
 use srflow_core::{FlowEstimator, FlowField, Image};
+use srflow_data::flow::FlowDataset;
 use srflow_eval::{FlowFiles, Zero};
 use srflow_nets::{Architecture, Iterations, Scaled, Tiled};
-use srflow_read::flow::FlowDataset;
 
 use crate::Watch;
 use crate::error::wrong_settings;

@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::AugmentError;
-use srflow_read::flow::TruthDensity;
+use srflow_data::flow::TruthDensity;
 
 /// Random changes to a training sample.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

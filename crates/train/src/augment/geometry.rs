@@ -3,7 +3,7 @@
 use srflow_core::random::Key;
 
 use super::AugmentConfig;
-use srflow_read::flow::TruthDensity;
+use srflow_data::flow::TruthDensity;
 
 /// Scale, then mirror, then crop.
 #[derive(Debug, Clone, PartialEq)]

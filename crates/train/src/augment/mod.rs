@@ -21,7 +21,7 @@ pub use config::AugmentConfig;
 use color::ColorJitter;
 use geometry::Geometry;
 use hue::HueTables;
-use srflow_read::flow::{Sample, TruthDensity};
+use srflow_data::flow::{Sample, TruthDensity};
 
 /// Errors of augmentation.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

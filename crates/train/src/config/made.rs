@@ -3,7 +3,7 @@
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value, json};
 use srflow_core::Size;
-use srflow_read::manifest::Recording;
+use srflow_data::manifest::Recording;
 
 use super::text::{self, MadeKind};
 use super::{ConfigError, DataConfig};

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use srflow_read::flow::{DatasetError, DatasetSpec, Split};
+use srflow_data::flow::{DatasetError, DatasetSpec, Split};
 
 /// A dataset in a mix: `KIND:DIR`, then `@SPLIT` for a split other than the default, then `*TIMES` to repeat each pair that often
 /// in an epoch, e.g. `sintel-clean:/data/Sintel@all*100`. Data that is made while training has no splits.

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use burn::tensor::Device;
 use srflow_core::{FlowField, Image, Mask};
+use srflow_data::flow::Sample;
 use srflow_files::{write_flow, write_image_png};
 use srflow_nets::Architecture;
 use srflow_ops::Precision;
-use srflow_read::flow::Sample;
 use srflow_train::batch::Batch;
 use srflow_train::config::Config;
 use srflow_train::loss::{LossConfig, SEQUENCE_LOSSES};

@@ -2,8 +2,8 @@
 //! as batches without valid pixels.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_golden::{Golden, numbers};
 use srflow_nets::LaplaceMixture;
+use srflow_ops::golden::{Golden, numbers};
 use srflow_train::loss::{
     Border, LossConfig, LossError, LossInputs, MaskReading, Prediction, REGULARIZERS, SEQUENCE_LOSSES,
     SequenceLoss, losses,

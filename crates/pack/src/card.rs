@@ -7,16 +7,18 @@ use srflow_core::resize::resize_image_antialiased;
 use srflow_core::{Image, flow_colors};
 use srflow_files::{create_folder, read_flow, read_image, write_image_png};
 
-use super::FIELDS;
-use super::index::FlowStatistics;
-use super::source::Source;
-use super::writer::{PackError, Packed, PackedFlow, WholeTar};
-use crate::manifest::SceneSplit;
+use crate::error::PackError;
+use crate::index::FlowStatistics;
+use crate::names::{about_field, field_of};
+use crate::packed::{Packed, WholeTar};
+use crate::settings::PackedFlow;
+use crate::source::Source;
+use crate::split::SceneSplit;
 
 /// Name of the card.
-pub(super) const NAME: &str = "README.md";
+pub(crate) const NAME: &str = "README.md";
 /// Name of the folder with its pictures.
-pub(super) const PICTURES: &str = "images";
+pub(crate) const PICTURES: &str = "images";
 
 /// Width of a frame in the pictures, in pixels.
 const WIDTH: usize = 320;
@@ -24,12 +26,12 @@ const WIDTH: usize = 320;
 const SHOWN: u64 = 3;
 
 /// Path of the picture of a pair in the folder, with `/`.
-pub(super) fn picture(key: &str) -> String {
+pub(crate) fn picture(key: &str) -> String {
     format!("{PICTURES}/{key}.png")
 }
 
 /// Writes pictures of some pairs, spread over the first split that has any, and returns their keys.
-pub(super) fn write_pictures(source: &Source, out: &Path) -> Result<Vec<String>, PackError> {
+pub(crate) fn write_pictures(source: &Source, out: &Path) -> Result<Vec<String>, PackError> {
     create_folder(&out.join(PICTURES))?;
     let mut keys = Vec::new();
     let Some(split) = SceneSplit::ALL.into_iter().find(|split| source.pairs(*split) > 0) else {
@@ -63,11 +65,11 @@ fn shrunk(image: &Image) -> Image {
 }
 
 /// The text of the card.
-pub(super) fn text(packed: &Packed) -> String {
+pub(crate) fn text(packed: &Packed) -> String {
     let mut text = front_matter(packed);
     let total: u64 = packed.tars.iter().map(|tar| tar.pairs).sum();
-    let (width, height) = packed.size;
-    let faces = packed.source.is_of_faces();
+    let (width, height) = packed.source.size;
+    let faces = packed.source.faces;
     let (title, about) = if faces {
         (
             "SRFlow: facial optical flow",
@@ -99,7 +101,7 @@ pub(super) fn text(packed: &Packed) -> String {
 
 fn front_matter(packed: &Packed) -> String {
     let total: u64 = packed.tars.iter().map(|tar| tar.pairs).sum();
-    let name = if packed.source.is_of_faces() { "SRFlow" } else { "Generic pairs with exact optical flow" };
+    let name = if packed.source.faces { "SRFlow" } else { "Generic pairs with exact optical flow" };
     let mut text = format!(
         "---\npretty_name: {name}\nlicense: other # choose one\ntask_categories:\n- image-to-image\ntags:\n- optical-flow\n\
          - synthetic\n- webdataset\nsize_categories:\n- {}\nconfigs:\n- config_name: default\n  data_files:\n",
@@ -151,7 +153,8 @@ fn statistics(packed: &Packed, faces: bool) -> String {
         if faces { "---|" } else { "" }
     );
     for (split, sum) in splits(packed) {
-        let scenes = if faces { format!(" {} |", packed.source.scene_count(split)) } else { String::new() };
+        let scenes =
+            if faces { format!(" {} |", packed.source.scenes_of(split).count()) } else { String::new() };
         let tars = packed.tars.iter().filter(|tar| tar.split == split).count();
         let FlowStatistics { pixels, occluded, max, .. } = sum.flow;
         let _ = writeln!(
@@ -173,14 +176,12 @@ fn members(packed: &Packed) -> String {
          split, scene and frame, its tar, where its members are in it, and their SHA-256.\n\n| field | content |\n|---|---|\n",
     );
     for ending in &packed.fields {
-        let field = ending.split('.').next().unwrap_or_default();
-        let about = FIELDS.iter().find(|(name, _)| *name == field).map_or("", |(_, about)| about);
-        let format = if field.starts_with("flow") {
+        let format = if field_of(ending).starts_with("flow") {
             format!("; {}", packed.settings.flow.about())
         } else {
             String::new()
         };
-        let _ = writeln!(text, "| `{ending}` | {about}{format} |");
+        let _ = writeln!(text, "| `{ending}` | {}{format} |", about_field(ending));
     }
     let error = packed.tars.iter().map(|tar| tar.flow_error).fold(0.0, f32::max);
     let _ = match error {

@@ -24,10 +24,11 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use srflow_core::Size;
-use srflow_core::{excerpt, named};
+use srflow_core::excerpt;
 use srflow_files::{FileError, FileKind, FlowFormat, read_text};
 
 pub use recording::Recording;
+pub use srflow_pack::SceneSplit;
 
 /// Name of the file in the dataset's folder.
 pub const MANIFEST_NAME: &str = "dataset.json";
@@ -130,20 +131,6 @@ pub struct CameraRecord {
     /// Camera from world, 4x4, by rows.
     pub w2c: [[f64; 4]; 4],
 }
-
-/// The split of a scene.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum SceneSplit {
-    /// For training.
-    Train,
-    /// For model selection.
-    Val,
-    /// For the final score.
-    Test,
-}
-
-named!(SceneSplit, "a split of scenes", { Train => "train", Val => "val", Test => "test" });
 
 /// One scene: a subject in motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

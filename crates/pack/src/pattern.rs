@@ -7,7 +7,7 @@ const MOST: u64 = 1 << 20;
 ///
 /// # Errors
 /// What was expected, and what was found.
-pub(crate) fn expand(text: &str) -> Result<Vec<String>, String> {
+pub fn expand(text: &str) -> Result<Vec<String>, String> {
     let Some((before, rest)) = text.split_once('{') else { return Ok(vec![text.to_owned()]) };
     let parsed = || {
         let (ends, after) = rest.split_once('}')?;

@@ -9,14 +9,14 @@ use serde::{Deserialize, Serialize};
 use srflow_core::excerpt;
 use srflow_files::parse_error_in_words;
 
-use super::is_plain;
-use super::place::Place;
-use super::tar::{LARGEST_MEMBER, SampleMembers, Span, Tar, field_of, shared};
-use crate::flow::DatasetError;
-use crate::manifest::SceneSplit;
+use crate::error::ReadError;
+use crate::names::{field_of, is_plain};
+use crate::place::Place;
+use crate::split::SceneSplit;
+use crate::tar::{LARGEST_MEMBER, SampleMembers, Span, Tar, shared};
 
 /// Name of the file in the folder of a packed dataset.
-pub(crate) const INDEX_NAME: &str = "index.jsonl";
+pub const INDEX_NAME: &str = "index.jsonl";
 
 /// Longest line in bytes; a dataset with all fields has lines of 2000.
 const LONGEST_LINE: usize = 1 << 16;
@@ -125,7 +125,7 @@ struct ReadMember<'a> {
 
 /// A pair of a packed dataset.
 #[derive(Debug)]
-pub(crate) struct Listing {
+pub struct Listing {
     pub split: Option<SceneSplit>,
     pub scene: String,
     pub frame: String,
@@ -137,11 +137,11 @@ pub(crate) struct Listing {
 ///
 /// # Errors
 /// When it cannot be read, or a line has other content than `srflow pack` writes.
-pub(crate) fn read_index(
+pub fn read_index(
     dir: &Place,
     fields: &[&str],
     on_pair: &mut dyn FnMut(Listing, usize),
-) -> Result<(), DatasetError> {
+) -> Result<(), ReadError> {
     let place = dir.join(INDEX_NAME);
     let mut tars: BTreeMap<String, Arc<Tar>> = BTreeMap::new();
     let mut last = Arc::from([]);
@@ -159,7 +159,7 @@ pub(crate) fn read_index(
         });
         for parsed in parsed {
             number += 1;
-            let wrong = |reason: String| DatasetError::Format {
+            let wrong = |reason: String| ReadError::Content {
                 path: place.path(),
                 reason: format!("line {number}: {reason}; copy the index again, or pack the dataset again"),
             };
@@ -270,17 +270,17 @@ fn digest(text: &str) -> Option<[u8; 16]> {
 /// Calls `on_line` with each line of a file, without its line break.
 pub(crate) fn lines(
     place: &Place,
-    on_line: &mut dyn FnMut(&[u8]) -> Result<(), DatasetError>,
-) -> Result<(), DatasetError> {
+    on_line: &mut dyn FnMut(&[u8]) -> Result<(), ReadError>,
+) -> Result<(), ReadError> {
     blocks(place, |block, _| block.split(|byte| *byte == b'\n').try_for_each(&mut *on_line))
 }
 
 /// Calls `on_block` with the lines of a file, many at a time, without the last line break, and with the size of the file in bytes.
 fn blocks(
     place: &Place,
-    mut on_block: impl FnMut(&[u8], u64) -> Result<(), DatasetError>,
-) -> Result<(), DatasetError> {
-    let wrong = |reason: String| DatasetError::Format { path: place.path(), reason };
+    mut on_block: impl FnMut(&[u8], u64) -> Result<(), ReadError>,
+) -> Result<(), ReadError> {
+    let wrong = |reason: String| ReadError::Content { path: place.path(), reason };
     let (mut pending, mut offset) = (Vec::new(), 0_u64);
     loop {
         let part = place.read_up_to(offset..offset + CHUNK)?;

@@ -4,22 +4,22 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 
-use super::FIELDS;
-use super::index::INDEX_NAME;
-use super::writer::Packed;
+use crate::index::INDEX_NAME;
+use crate::names::{about_field, field_of};
+use crate::packed::Packed;
 
 /// Name of the file.
-pub(super) const NAME: &str = "croissant.json";
+pub(crate) const NAME: &str = "croissant.json";
 
 /// The text of the file. `hashes` are the SHA-256 of the files by name.
-pub(super) fn text(packed: &Packed, hashes: &BTreeMap<String, String>) -> String {
+pub(crate) fn text(packed: &Packed, hashes: &BTreeMap<String, String>) -> String {
     let mut text = serde_json::to_string_pretty(&content(packed, hashes)).unwrap_or_default();
     text.push('\n');
     text
 }
 
 fn content(packed: &Packed, hashes: &BTreeMap<String, String>) -> Value {
-    let (name, about) = if packed.source.is_of_faces() {
+    let (name, about) = if packed.source.faces {
         ("SRFlow", "Rendered heads that move, with the exact optical flow of every pixel.")
     } else {
         ("Generic-pairs", "Random shapes and textures that move, with the exact optical flow of every pixel.")
@@ -73,7 +73,7 @@ fn distribution(packed: &Packed, hashes: &BTreeMap<String, String>) -> Vec<Value
             "@type": "cr:FileSet",
             "@id": set_of(ending),
             "name": set_of(ending),
-            "description": format!("{}.", about(ending)),
+            "description": format!("{}.", about_field(ending)),
             "containedIn": tars,
             "encodingFormat": encoding(ending),
             "includes": format!("*.{ending}"),
@@ -84,14 +84,6 @@ fn distribution(packed: &Packed, hashes: &BTreeMap<String, String>) -> Vec<Value
 
 fn set_of(ending: &str) -> String {
     format!("files-{}", field_of(ending))
-}
-
-fn field_of(ending: &str) -> &str {
-    ending.split('.').next().unwrap_or_default()
-}
-
-fn about(ending: &str) -> &'static str {
-    FIELDS.iter().find(|(name, _)| *name == field_of(ending)).map_or("", |(_, about)| about)
 }
 
 fn encoding(ending: &str) -> &'static str {
@@ -142,7 +134,7 @@ fn member_records(ending: &str) -> Value {
         "@type": "cr:RecordSet",
         "@id": field,
         "name": field,
-        "description": format!("{}.", about(ending)),
+        "description": format!("{}.", about_field(ending)),
         "key": { "@id": format!("{field}/key") },
         "field": [
             {
@@ -161,7 +153,7 @@ fn member_records(ending: &str) -> Value {
                 "@type": "cr:Field",
                 "@id": format!("{field}/content"),
                 "name": "content",
-                "description": format!("{}.", about(ending)),
+                "description": format!("{}.", about_field(ending)),
                 "dataType": if is_picture { "sc:ImageObject" } else { "sc:Text" },
                 "source": { "fileSet": file_set, "extract": { "fileProperty": "content" } },
             },

@@ -3,8 +3,10 @@
 pub mod flow;
 pub mod manifest;
 pub mod micro_expression;
-pub mod packed;
+mod pack_source;
 pub mod region_map;
+
+pub use pack_source::pack_source;
 
 /// Clap's derives with the feature `clap`; otherwise derives that generate nothing.
 pub(crate) mod clap {

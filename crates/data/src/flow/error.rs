@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
-use srflow_fetch::FetchError;
 use srflow_files::FileError;
+use srflow_pack::ReadError;
 
 use super::Split;
 use crate::manifest::ManifestError;
@@ -88,9 +88,9 @@ pub enum DatasetError {
     /// A picture or flow could not be read.
     #[error(transparent)]
     File(#[from] FileError),
-    /// A part of a dataset on the web could not be read.
+    /// A part of a packed dataset could not be read.
     #[error(transparent)]
-    Fetch(#[from] Box<FetchError>),
+    Packed(#[from] ReadError),
     /// `dataset.json` of an SRFlow dataset could not be used.
     #[error(transparent)]
     Manifest(#[from] ManifestError),

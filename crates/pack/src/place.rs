@@ -9,7 +9,7 @@ use std::sync::{Mutex, PoisonError};
 use srflow_fetch::{Client, Part, Patience};
 use srflow_files::{FileKind, FileProblem, open_file};
 
-use crate::flow::DatasetError;
+use crate::error::ReadError;
 
 /// One client for all places, so that connections are reused, and the process that made it.
 static CLIENT: Mutex<Option<(u32, Client)>> = Mutex::new(None);
@@ -29,7 +29,7 @@ fn client() -> Client {
 
 /// A file or folder on disk, or at an HTTP(S) address.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Place {
+pub enum Place {
     Disk(PathBuf),
     Web(String),
 }
@@ -75,12 +75,12 @@ impl Place {
         &self,
         range: Range<u64>,
         check: &dyn Fn(&[u8]) -> Result<(), String>,
-    ) -> Result<Vec<u8>, DatasetError> {
+    ) -> Result<Vec<u8>, ReadError> {
         match self {
             Self::Disk(path) => {
                 let part = read_disk(path, &range)?;
                 let (found, expected) = (part.bytes.len() as u64, range.end - range.start);
-                let wrong = |reason| DatasetError::Format { path: path.clone(), reason };
+                let wrong = |reason| ReadError::Content { path: path.clone(), reason };
                 if found != expected {
                     let Range { start, end } = range;
                     let reason =
@@ -96,7 +96,7 @@ impl Place {
     }
 
     /// The bytes of `range` up to the end of the file.
-    pub fn read_up_to(&self, range: Range<u64>) -> Result<Part, DatasetError> {
+    pub fn read_up_to(&self, range: Range<u64>) -> Result<Part, ReadError> {
         match self {
             Self::Disk(path) => read_disk(path, &range),
             Self::Web(url) => Ok(client().read_up_to(url, range).map_err(Box::new)?),
@@ -104,7 +104,7 @@ impl Place {
     }
 }
 
-fn read_disk(path: &Path, range: &Range<u64>) -> Result<Part, DatasetError> {
+fn read_disk(path: &Path, range: &Range<u64>) -> Result<Part, ReadError> {
     let (mut file, total) = open_file(path, FileKind::Archive)?;
     let failed = |error| FileProblem::reading(error).in_file(path);
     let len = range.end.min(total).saturating_sub(range.start);
@@ -142,7 +142,7 @@ impl<'a> Windows<'a> {
     }
 
     /// `len` bytes from `offset`, or as many as there are up to the end of the file.
-    pub fn get(&mut self, offset: u64, len: u64) -> Result<&[u8], DatasetError> {
+    pub fn get(&mut self, offset: u64, len: u64) -> Result<&[u8], ReadError> {
         let end = offset.saturating_add(len).min(self.total.unwrap_or(u64::MAX));
         if offset >= end {
             return Ok(&[]);

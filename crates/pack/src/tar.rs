@@ -7,9 +7,10 @@ use std::sync::Arc;
 use sha2::{Digest, Sha256};
 use srflow_core::excerpt;
 
-use super::place::{Place, Windows};
-use super::ustar::{self, BLOCK, Block, Kind};
-use crate::flow::DatasetError;
+use crate::error::ReadError;
+use crate::names::field_of;
+use crate::place::{Place, Windows};
+use crate::ustar::{self, BLOCK, Block, Kind};
 
 /// Bytes of a tar that are read at once while its headers are looked for: on disk, on the web.
 const WINDOW: [u64; 2] = [16 << 10, 256 << 10];
@@ -22,13 +23,13 @@ pub(crate) const LARGEST_MEMBER: u32 = u32::MAX;
 
 /// A tar on disk or on the web.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) struct Tar {
+pub struct Tar {
     pub place: Place,
 }
 
 /// The members of one sample. A list of a million of them is in memory at once.
 #[derive(Debug)]
-pub(crate) struct SampleMembers {
+pub struct SampleMembers {
     pub tar: Arc<Tar>,
     /// The first part of the members' names.
     pub key: Box<str>,
@@ -45,13 +46,8 @@ impl SampleMembers {
     }
 }
 
-/// `flow` of `flow.npy`.
-pub(super) fn field_of(ending: &str) -> &str {
-    ending.split('.').next().unwrap_or_default()
-}
-
 /// The list as it is kept: `last` if it is the same.
-pub(super) fn shared(endings: &[impl AsRef<str>], last: &mut Arc<[Box<str>]>) -> Arc<[Box<str>]> {
+pub(crate) fn shared(endings: &[impl AsRef<str>], last: &mut Arc<[Box<str>]>) -> Arc<[Box<str>]> {
     if !last.iter().map(|ending| &**ending).eq(endings.iter().map(AsRef::as_ref)) {
         *last = endings.iter().map(|ending| ending.as_ref().into()).collect();
     }
@@ -60,7 +56,7 @@ pub(super) fn shared(endings: &[impl AsRef<str>], last: &mut Arc<[Box<str>]>) ->
 
 /// Where a member is.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Span {
+pub struct Span {
     /// Where its content starts in the tar, in bytes.
     pub offset: u64,
     /// Size of its content in bytes.
@@ -96,7 +92,7 @@ impl PartialEq for Member {
 
 impl Member {
     /// The member of a sample with this field, such as `flow`, if it has one.
-    pub(crate) fn of(sample: &Arc<SampleMembers>, field: &str) -> Option<Self> {
+    pub fn of(sample: &Arc<SampleMembers>, field: &str) -> Option<Self> {
         let at = sample.fields().position(|own| own == field)?;
         Some(Self { sample: sample.clone(), at: u8::try_from(at).ok()? })
     }
@@ -122,21 +118,21 @@ impl Member {
     }
 
     /// `TAR/KEY.FIELD.ENDING`.
-    pub(crate) fn path(&self) -> PathBuf {
+    pub fn path(&self) -> PathBuf {
         self.sample.tar.place.path().join(self.name())
     }
 }
 
 /// The content of several members of one sample, read at once where they are close.
 #[derive(Debug, Default)]
-pub(crate) struct Contents {
+pub struct Contents {
     /// Where in the tar each piece starts, and the piece.
     pieces: Vec<(u64, Vec<u8>)>,
 }
 
 impl Contents {
     /// Reads the members, which must be those of one sample, and compares them with the index where there is one.
-    pub fn read(members: &[&Member]) -> Result<Self, DatasetError> {
+    pub fn read(members: &[&Member]) -> Result<Self, ReadError> {
         let Some(first) = members.first() else { return Ok(Self::default()) };
         let mut sorted = members.to_vec();
         sorted.sort_by_key(|member| member.span().offset);
@@ -159,7 +155,7 @@ impl Contents {
             };
             Ok((start, place.read(range, &check)?))
         };
-        Ok(Self { pieces: ranges.into_iter().map(read).collect::<Result<_, DatasetError>>()? })
+        Ok(Self { pieces: ranges.into_iter().map(read).collect::<Result<_, ReadError>>()? })
     }
 
     /// The content of one of the members.
@@ -179,7 +175,7 @@ fn piece(start: u64, bytes: &[u8], span: Span) -> &[u8] {
 }
 
 /// Finds the samples of a tar by its headers: members whose names are the same up to the first dot, and adjacent.
-pub(crate) fn scan(place: Place, on_sample: &mut dyn FnMut(SampleMembers)) -> Result<(), DatasetError> {
+pub fn scan(place: Place, on_sample: &mut dyn FnMut(SampleMembers)) -> Result<(), ReadError> {
     let tar = Arc::new(Tar { place });
     let mut windows = Windows::new(&tar.place, WINDOW);
     let mut last = Arc::from([]);
@@ -192,7 +188,7 @@ pub(crate) fn scan(place: Place, on_sample: &mut dyn FnMut(SampleMembers)) -> Re
     };
     let (mut offset, mut long_name, mut long_size) = (0_u64, None, None);
     loop {
-        let wrong = |reason: String| DatasetError::Format {
+        let wrong = |reason: String| ReadError::Content {
             path: tar.place.path(),
             reason: format!("at byte {offset}: {reason}"),
         };

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use srflow_read::flow::{DatasetSpec, EntryFile, FlowDataset, KINDS, Occlusion, Split};
+use srflow_data::flow::{DatasetSpec, EntryFile, FlowDataset, KINDS, Occlusion, Split};
 use tempfile::TempDir;
 
 /// A folder that holds these files, all of them empty.
@@ -29,7 +29,7 @@ fn open(kind: &str, dir: &Path, split: Option<Split>) -> Result<FlowDataset, Str
 /// The pairs as `id: frame1 > frame2 = flow`, with paths relative to the dataset's folder.
 fn listed(dataset: &FlowDataset) -> Vec<String> {
     let seen = |path: &Path| path.strip_prefix(dataset.dir()).unwrap().display().to_string();
-    let line = |entry: &srflow_read::flow::Entry| {
+    let line = |entry: &srflow_data::flow::Entry| {
         let flow = entry.flow.as_ref().map_or("none".to_owned(), |flow| seen(&flow.path()));
         format!("{}: {} > {} = {flow}", entry.id(), seen(&entry.frame1.path()), seen(&entry.frame2.path()))
     };

@@ -8,13 +8,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use srflow_core::excerpt;
+use srflow_pack::{INDEX_NAME, Listing, Member, Place, SampleMembers, expand, read_index, scan};
 
 use super::gaps::Gaps;
 use super::listing;
 use super::sequence::Direction;
 use super::{DatasetError, Entry, EntryFile, Kind, Occlusion, Reader, Split};
 use crate::manifest::SceneSplit;
-use crate::packed::{INDEX_NAME, Listing, Member, Place, SampleMembers, expand, read_index, scan};
 
 pub(super) const KIND: Kind = Kind {
     name: "wds",

@@ -10,9 +10,9 @@ use srflow_files::{
     Array, FileBytes, FileError, read_flow, read_grey16, read_image, read_image_size, read_labels, read_mask,
     read_npy,
 };
+use srflow_pack::{Contents, Member};
 
 use super::DatasetError;
-use crate::packed::{Contents, Member};
 
 /// A file of a pair. Those of a million pairs are in memory at once.
 #[derive(Debug, Clone, PartialEq)]

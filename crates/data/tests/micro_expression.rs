@@ -5,11 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use srflow_core::Image;
-use srflow_files::write_image_png;
-use srflow_read::micro_expression::{
+use srflow_data::micro_expression::{
     Annotation, CLIP_KINDS, Classes, ClipDataset, ClipSource, DropReason, Labels, count_classes,
     published_counts, write_plain,
 };
+use srflow_files::write_image_png;
 
 /// The published annotation files, if they are next to the repository.
 fn annotations() -> Option<PathBuf> {

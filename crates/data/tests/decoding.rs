@@ -5,8 +5,8 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use srflow_core::{FlowField, Image, Labels, Mask};
+use srflow_data::flow::{DatasetSpec, FlowDataset, Sample, Split};
 use srflow_files::{write_flow, write_image_png, write_labels_png, write_mask_png, write_npy};
-use srflow_read::flow::{DatasetSpec, FlowDataset, Sample, Split};
 use tempfile::TempDir;
 
 const WIDTH: usize = 6;

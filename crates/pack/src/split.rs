@@ -1,0 +1,16 @@
+use serde::{Deserialize, Serialize};
+use srflow_core::named;
+
+/// The split of a scene, or of a pair without one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SceneSplit {
+    /// For training.
+    Train,
+    /// For model selection.
+    Val,
+    /// For the final score.
+    Test,
+}
+
+named!(SceneSplit, "a split of scenes", { Train => "train", Val => "val", Test => "test" });

@@ -1,6 +1,7 @@
 //! Readers of optical-flow and micro-expression datasets.
 
 pub mod flow;
+mod listing;
 pub mod manifest;
 pub mod micro_expression;
 mod pack_source;

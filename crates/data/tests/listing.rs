@@ -251,7 +251,7 @@ mod folder {
             open("folder", dir.path(), Some(Split::Val)),
             &["looked for", "val", "holds only test, train"],
         );
-        assert_says(open("folder", dir.path(), None), &["choose one with --split"]);
+        assert_says(open("folder", dir.path(), None), &["choose one with `split`"]);
     }
 }
 

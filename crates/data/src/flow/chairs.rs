@@ -8,7 +8,7 @@ use srflow_core::excerpt;
 use srflow_files::{FileKind, read_text};
 
 use super::gaps::Gaps;
-use super::listing;
+use super::layout;
 use super::triplets::triplets;
 use super::{DatasetError, Entry, Kind, Reader, Split};
 
@@ -38,10 +38,10 @@ impl Reader for FlyingChairs {
                 return Err(DatasetError::NoSplit { kind: self.name(), split, available });
             }
         };
-        let data = listing::require("chairs", dir, "data")?;
+        let data = layout::require("chairs", dir, "data")?;
         let pairs = triplets(&data, gaps)?;
         if pairs.is_empty() && gaps.is_empty() {
-            return Err(listing::nothing_fits("chairs", &data, "*_img1.ppm", ""));
+            return Err(layout::nothing_fits("chairs", &data, "*_img1.ppm", ""));
         }
         for pair in pairs.iter().filter(|pair| pair.flow.is_none()) {
             gaps.push(format!(
@@ -61,8 +61,8 @@ impl Reader for FlyingChairs {
 fn chosen(dir: &Path, pairs: Vec<Entry>, part: u8) -> Result<Vec<Entry>, DatasetError> {
     let path = dir.join(SPLIT_FILE);
     if !path.is_file() {
-        let hint = "The list is a separate download; put it next to data/, or use `--split all`, which does not need it";
-        return Err(listing::nothing_fits("chairs", dir, SPLIT_FILE, hint));
+        let hint = "The list is a separate download; put it next to data/, or give `split` all, which does not need it";
+        return Err(layout::nothing_fits("chairs", dir, SPLIT_FILE, hint));
     }
     let text = read_text(&path, FileKind::Table)?;
     let wrong = |reason| DatasetError::Format { path: path.clone(), reason };

@@ -5,8 +5,8 @@
 use std::path::{Path, PathBuf};
 
 use super::gaps::Gaps;
-use super::listing;
 use super::{DatasetError, Entry, Kind, Reader, Split};
+use crate::listing;
 use crate::micro_expression::{Clip, ClipDataset, ClipSource};
 
 pub(super) const KIND: Kind = Kind {
@@ -50,15 +50,9 @@ fn pair(clip: &Clip, gaps: &mut Gaps) -> Option<Entry> {
         gaps.push(format!("clip {} has no flow {}_flow.*", annotation.clip, annotation.clip));
     }
     Some(Entry {
-        scene: annotation.clip.clone(),
-        frame: listing::stem(&frame1),
-        frame1: frame1.into(),
-        frame2: frame2.into(),
         flow: flow.map(Into::into),
         mask: beside(clip, "mask", listing::MASKS).map(Into::into),
-        occlusion: None,
-        regions: None,
-        depth: None,
+        ..Entry::bare(annotation.clip.clone(), frame1, frame2)
     })
 }
 

@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use srflow_files::FileError;
 use srflow_pack::ReadError;
 
-use super::Split;
+use super::split::Split;
 use crate::manifest::ManifestError;
 use crate::micro_expression::MicroExpressionError;
 
@@ -56,15 +56,6 @@ pub enum DatasetError {
         count: usize,
         /// The first of them, one per line.
         listed: String,
-    },
-    /// A file or folder could not be opened.
-    #[error("{}: {error}", .path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// The operating system's message.
-        #[source]
-        error: std::io::Error,
     },
     /// A text file does not have the expected format.
     #[error("{}: {reason}", .path.display())]

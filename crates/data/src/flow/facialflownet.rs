@@ -6,8 +6,9 @@
 use std::path::Path;
 
 use super::gaps::Gaps;
-use super::listing;
+use super::layout;
 use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
+use crate::listing;
 
 pub(super) const KIND: Kind = Kind {
     name: "facialflownet",
@@ -43,7 +44,7 @@ impl Reader for FacialFlowNet {
         };
         let [images, flows] = ["image", "flow"].map(|folder| format!("{folder}/{}", self.motion));
         let mut entries = Vec::new();
-        for place in listing::places(&self.name(), dir, parts, [&images, &flows], gaps)? {
+        for place in layout::places(&self.name(), dir, parts, [&images, &flows], gaps)? {
             entries.extend(self.sequence(dir, &place, gaps)?);
         }
         Ok(entries)
@@ -76,15 +77,9 @@ impl FacialFlowNet {
         let entry = |(pair, flow): (&[std::path::PathBuf], std::path::PathBuf)| {
             let [frame1, frame2] = pair else { return None };
             Some(Entry {
-                scene: place.to_owned(),
-                frame: listing::stem(frame1),
-                frame1: frame1.clone().into(),
-                frame2: frame2.clone().into(),
                 flow: Some(flow.into()),
                 mask: masks.next().map(Into::into),
-                occlusion: None,
-                regions: None,
-                depth: None,
+                ..Entry::bare(place.to_owned(), frame1.clone(), frame2.clone())
             })
         };
         Ok(images.windows(2).zip(flows).filter_map(entry).collect())

@@ -12,7 +12,7 @@ use srflow_files::{
 };
 use srflow_pack::{Contents, Member};
 
-use super::DatasetError;
+use super::error::DatasetError;
 
 /// A file of a pair. Those of a million pairs are in memory at once.
 #[derive(Debug, Clone, PartialEq)]

@@ -6,9 +6,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::gaps::Gaps;
-use super::listing::{self, Numbered};
+use super::layout::{self, Numbered};
 use super::sequence::{Direction, Sequence};
 use super::{DatasetError, Entry, Kind, Reader, Split, Truth, TruthDensity};
+use crate::listing;
 
 /// First of the sequences that ptlflow uses for validation (data/Hd1k_val.txt).
 const FIRST_VALIDATION_SEQUENCE: u64 = 30;
@@ -32,11 +33,11 @@ impl Reader for Hd1k {
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
         let part = if split == Split::Test { "hd1k_challenge" } else { "hd1k_input" };
-        let mut frames = by_sequence(&listing::require("hd1k", dir, &format!("{part}/image_2"))?, gaps)?;
+        let mut frames = by_sequence(&layout::require("hd1k", dir, &format!("{part}/image_2"))?, gaps)?;
         let mut flow_dir = PathBuf::new();
         let mut flows = BTreeMap::new();
         if split != Split::Test {
-            flow_dir = listing::require("hd1k", dir, "hd1k_flow_gt/flow_occ")?;
+            flow_dir = layout::require("hd1k", dir, "hd1k_flow_gt/flow_occ")?;
             flows = by_sequence(&flow_dir, gaps)?;
             for &sequence in flows.keys() {
                 frames.entry(sequence).or_default(); // so that flows without any frame are reported
@@ -76,7 +77,7 @@ fn by_sequence(dir: &Path, gaps: &mut Gaps) -> Result<BTreeMap<u64, Numbered>, D
             gaps.push(format!("{}: expected a name like 000000_0010.png", gaps.shown(&path)));
             continue;
         };
-        listing::insert_once(found.entry(sequence).or_default(), frame, path, gaps);
+        layout::insert_once(found.entry(sequence).or_default(), frame, path, gaps);
     }
     Ok(found)
 }

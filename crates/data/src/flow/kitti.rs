@@ -6,8 +6,9 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::gaps::Gaps;
-use super::listing;
+use super::layout;
 use super::{DatasetError, Entry, Kind, Occlusion, Reader, Split, Truth, TruthDensity};
+use crate::listing;
 
 pub(super) const KIND: Kind = Kind {
     name: "kitti",
@@ -44,9 +45,9 @@ impl Reader for Kitti {
             }
         };
         let image_folder = if self.year == "2012" { "colored_0" } else { "image_2" };
-        let frame_dir = listing::require(&self.name(), dir, &format!("{part}/{image_folder}"))?;
+        let frame_dir = layout::require(&self.name(), dir, &format!("{part}/{image_folder}"))?;
         if split != Split::Test {
-            listing::require(&self.name(), dir, "training/flow_occ")?;
+            layout::require(&self.name(), dir, "training/flow_occ")?;
         }
         let root = dir.join(part);
         let entries = scenes(&frame_dir, gaps)?
@@ -70,7 +71,7 @@ fn scenes(frame_dir: &Path, gaps: &Gaps) -> Result<BTreeSet<String>, DatasetErro
     let scenes: BTreeSet<String> =
         listing::files(frame_dir, &["png"])?.iter().filter_map(|p| scene_of(p)).collect();
     if scenes.is_empty() {
-        return Err(listing::nothing_fits(gaps.kind(), frame_dir, "*_10.png", ""));
+        return Err(layout::nothing_fits(gaps.kind(), frame_dir, "*_10.png", ""));
     }
     Ok(scenes)
 }
@@ -86,15 +87,9 @@ fn entry_of(root: &Path, frame_dir: &Path, scene: &str, with_flow: bool, gaps: &
     }
     let visible = truth("flow_noc");
     missing.is_empty().then(|| Entry {
-        scene: String::new(),
-        frame: format!("{scene}_10"),
         flow: with_flow.then(|| flow.into()),
-        mask: None,
         occlusion: (with_flow && visible.is_file()).then(|| Occlusion::VisibleFlow(visible.into())),
-        regions: None,
-        depth: None,
-        frame1: frame1.into(),
-        frame2: frame2.into(),
+        ..Entry::bare(String::new(), frame1, frame2)
     })
 }
 

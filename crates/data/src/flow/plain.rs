@@ -12,9 +12,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::gaps::Gaps;
-use super::listing;
+use super::layout;
 use super::triplets::triplets;
 use super::{DatasetError, Entry, Kind, Occlusion, Reader, Split};
+use crate::listing;
 
 pub(super) const KIND: Kind = Kind {
     name: "folder",
@@ -37,14 +38,14 @@ impl Reader for Plain {
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
         let dir = match split {
             Split::All => dir.to_owned(),
-            _ => listing::require("folder", dir, &split.to_string())?,
+            _ => layout::require("folder", dir, &split.to_string())?,
         };
         if dir.join("frames").is_dir() {
             return scenes(&dir, gaps);
         }
         let pairs = if dir.is_dir() { triplets(&dir, gaps)? } else { Vec::new() };
         if pairs.is_empty() && gaps.is_empty() {
-            return Err(listing::nothing_fits("folder", &dir, "*_img1.* or frames/", &hint(&dir)));
+            return Err(layout::nothing_fits("folder", &dir, "*_img1.* or frames/", &hint(&dir)));
         }
         Ok(pairs)
     }
@@ -53,7 +54,7 @@ impl Reader for Plain {
 /// Advice for a folder that contains no pairs.
 fn hint(dir: &Path) -> String {
     if dir.join("train").is_dir() || dir.join("test").is_dir() {
-        return "It has splits: choose one with --split".to_owned();
+        return "It has splits: choose one with `split`".to_owned();
     }
     match listing::elsewhere(dir, "frames") {
         Some(place) => format!("frames/ is under {0}: give folder:{0}", place.display()),
@@ -68,7 +69,7 @@ fn scenes(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
     scenes.extend(listing::folders(&frames)?.iter().map(|folder| listing::name(folder)));
     let with_flow = dir.join("flow").is_dir();
     for part in ["flow", "mask", "occlusion", "regions"] {
-        listing::folders_without(&dir.join(part), &frames, gaps)?;
+        layout::folders_without(&dir.join(part), &frames, gaps)?;
     }
     let mut entries = Vec::new();
     for scene in &scenes {
@@ -76,7 +77,7 @@ fn scenes(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
     }
     if entries.is_empty() && gaps.is_empty() {
         let hint = "A sequence needs at least two frames, in frames/ or in frames/SCENE/";
-        return Err(listing::nothing_fits("folder", &frames, "*.png", hint));
+        return Err(layout::nothing_fits("folder", &frames, "*.png", hint));
     }
     Ok(entries)
 }
@@ -108,15 +109,11 @@ fn pairs_of_scene(
             gaps.push(format!("{} has no flow {}.*", gaps.shown(frame1), expected.display()));
         }
         entries.push(Entry {
-            scene: scene.to_owned(),
             flow: flow.map(Into::into),
             mask: masks.remove(&frame).map(Into::into),
             occlusion: occlusions.remove(&frame).map(|path| Occlusion::Picture(path.into())),
             regions: regions.remove(&frame).map(Into::into),
-            depth: None,
-            frame,
-            frame1: frame1.clone().into(),
-            frame2: frame2.clone().into(),
+            ..Entry::bare(scene.to_owned(), frame1.clone(), frame2.clone())
         });
     }
     for flow in flows.values() {
@@ -137,7 +134,7 @@ fn files_by_stem(
 ) -> Result<BTreeMap<String, PathBuf>, DatasetError> {
     let mut found = BTreeMap::new();
     for path in listing::files(dir, endings)? {
-        listing::insert_once(&mut found, listing::stem(&path), path, gaps);
+        layout::insert_once(&mut found, listing::stem(&path), path, gaps);
     }
     Ok(found)
 }

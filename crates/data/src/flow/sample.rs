@@ -3,8 +3,9 @@
 use serde::{Deserialize, Serialize};
 use srflow_core::{FlowField, Image, Labels, Mask, Plane};
 
+use super::entry::{Entry, Occlusion};
+use super::error::DatasetError;
 use super::file::{EntryFile, Opened};
-use super::{DatasetError, Entry, Occlusion};
 use crate::region_map::check_region_map;
 
 /// One decoded pair of frames; all parts have the same size.

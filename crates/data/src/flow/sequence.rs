@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::gaps::Gaps;
-use super::listing::Numbered;
+use super::layout::Numbered;
 use super::{Entry, Occlusion};
 
 /// Temporal direction of a pair.
@@ -75,15 +75,9 @@ impl Sequence<'_> {
                 ));
             }
             entries.push(Entry {
-                scene: self.scene.clone(),
-                frame: super::listing::stem(frame1),
-                frame1: frame1.clone().into(),
-                frame2: frame2.clone().into(),
                 flow: flow.map(Into::into),
-                mask: None,
                 occlusion: self.occlusions.remove(&start).map(|path| Occlusion::Picture(path.into())),
-                regions: None,
-                depth: None,
+                ..Entry::bare(self.scene.clone(), frame1.clone(), frame2.clone())
             });
         }
         let end = match direction {

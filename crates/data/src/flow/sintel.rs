@@ -4,9 +4,10 @@
 use std::path::Path;
 
 use super::gaps::Gaps;
-use super::listing;
+use super::layout;
 use super::sequence::{Direction, Sequence};
 use super::{DatasetError, Entry, Kind, Reader, Split};
+use crate::listing;
 
 /// The scenes of the training set that ptlflow uses for validation (data/Sintel_val.txt).
 const VALIDATION_SCENES: [&str; 6] = ["ambush_2", "bamboo_2", "cave_2", "market_2", "shaman_2", "temple_2"];
@@ -34,13 +35,13 @@ impl Reader for Sintel {
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
         let part = if split == Split::Test { "test" } else { "training" };
-        let frames = listing::require(&self.name(), dir, &format!("{part}/{}", self.pass))?;
+        let frames = layout::require(&self.name(), dir, &format!("{part}/{}", self.pass))?;
         let root = dir.join(part);
         if split != Split::Test {
-            listing::require(&self.name(), dir, "training/flow")?;
+            layout::require(&self.name(), dir, "training/flow")?;
         }
         if split == Split::All {
-            listing::folders_without(&root.join("flow"), &frames, gaps)?;
+            layout::folders_without(&root.join("flow"), &frames, gaps)?;
         }
         let mut entries = Vec::new();
         for folder in listing::folders(&frames)? {
@@ -55,16 +56,12 @@ impl Reader for Sintel {
             }
             let flow_dir = root.join("flow").join(&scene);
             let sequence = Sequence {
-                frames: listing::numbered(&folder, &["png"], gaps)?,
+                frames: layout::numbered(&folder, &["png"], gaps)?,
                 flows: match split {
                     Split::Test => None,
-                    _ => Some(listing::numbered_if_there(&flow_dir, &["flo"], gaps)?),
+                    _ => Some(layout::numbered_if_there(&flow_dir, &["flo"], gaps)?),
                 },
-                occlusions: listing::numbered_if_there(
-                    &root.join("occlusions").join(&scene),
-                    &["png"],
-                    gaps,
-                )?,
+                occlusions: layout::numbered_if_there(&root.join("occlusions").join(&scene), &["png"], gaps)?,
                 flow_dir: &flow_dir,
                 flow_past_the_end: false,
                 scene,

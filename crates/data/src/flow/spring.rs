@@ -6,9 +6,10 @@
 use std::path::Path;
 
 use super::gaps::Gaps;
-use super::listing;
+use super::layout;
 use super::sequence::{Direction, Sequence};
 use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
+use crate::listing;
 
 pub(super) const KIND: Kind = Kind {
     name: "spring",
@@ -52,7 +53,7 @@ impl Reader for Spring {
             Direction::Backward => "BW",
         };
         let mut entries = Vec::new();
-        for folder in listing::folders(&listing::require(&self.name(), dir, part)?)? {
+        for folder in listing::folders(&layout::require(&self.name(), dir, part)?)? {
             let frame_dir = folder.join(format!("frame_{}", self.camera));
             if !frame_dir.is_dir() {
                 gaps.push(format!("no folder {}", gaps.shown(&frame_dir)));
@@ -61,12 +62,12 @@ impl Reader for Spring {
             let flow_dir = folder.join(format!("flow_{direction}_{}", self.camera));
             let sequence = Sequence {
                 scene: listing::name(&folder),
-                frames: listing::numbered(&frame_dir, &["png"], gaps)?,
+                frames: layout::numbered(&frame_dir, &["png"], gaps)?,
                 flows: match split {
                     Split::Test => None,
-                    _ => Some(listing::numbered_if_there(&flow_dir, &["flo5"], gaps)?),
+                    _ => Some(layout::numbered_if_there(&flow_dir, &["flo5"], gaps)?),
                 },
-                occlusions: listing::Numbered::new(),
+                occlusions: layout::Numbered::new(),
                 flow_dir: &flow_dir,
                 flow_past_the_end: false,
             };

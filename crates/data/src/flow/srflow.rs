@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 
 use super::file::Folders;
 use super::gaps::Gaps;
-use super::listing;
+use super::layout;
 use super::sequence::Direction;
 use super::{DatasetError, Entry, EntryFile, Kind, Occlusion, Reader, Split};
+use crate::listing;
 use crate::manifest::{MANIFEST_NAME, Manifest, SceneEntry, SceneSplit};
 
 pub(super) const KIND: Kind = Kind {
@@ -32,7 +33,7 @@ impl Reader for SrFlow {
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
-        listing::require(&self.name(), dir, MANIFEST_NAME)?;
+        layout::require(&self.name(), dir, MANIFEST_NAME)?;
         let manifest = Manifest::read(dir)?;
         if self.direction == Direction::Backward && !manifest.arguments.backward {
             let reason =

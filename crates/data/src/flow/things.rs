@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use super::gaps::Gaps;
-use super::listing;
+use super::layout;
 use super::sequence::{Direction, Sequence};
 use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
 
@@ -49,7 +49,7 @@ impl Reader for FlyingThings3D {
         };
         let folders = [&format!("frames_{}pass", self.pass), "optical_flow"];
         let mut entries = Vec::new();
-        for place in listing::places(&self.name(), dir, parts, folders, gaps)? {
+        for place in layout::places(&self.name(), dir, parts, folders, gaps)? {
             entries.extend(self.sequence(dir, &place, gaps)?);
         }
         Ok(entries)
@@ -72,10 +72,10 @@ impl FlyingThings3D {
         }
         let sequence = Sequence {
             scene: format!("{place}/{}", self.camera),
-            frames: listing::numbered(&frame_dir, &["png"], gaps)?,
-            flows: Some(listing::numbered_if_there(&flow_dir, &["pfm"], gaps)?),
+            frames: layout::numbered(&frame_dir, &["png"], gaps)?,
+            flows: Some(layout::numbered_if_there(&flow_dir, &["pfm"], gaps)?),
             // Published only with the "subset" edition.
-            occlusions: listing::numbered_if_there(&dir.join("occlusions").join(&inner), &["png"], gaps)?,
+            occlusions: layout::numbered_if_there(&dir.join("occlusions").join(&inner), &["png"], gaps)?,
             flow_dir: &flow_dir,
             flow_past_the_end: true,
         };

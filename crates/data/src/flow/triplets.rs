@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 
 use super::file::Folders;
 use super::gaps::Gaps;
-use super::listing;
+use super::layout;
 use super::{DatasetError, Entry, Occlusion};
+use crate::listing;
 
 /// Parts of a triplet by the suffix of their stem, and the extensions that each may have.
 const PARTS: [(&str, &[&str]); 6] = [
@@ -24,7 +25,7 @@ pub fn triplets(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>
     for (files, (suffix, endings)) in found.iter_mut().zip(PARTS) {
         for path in listing::files(dir, endings)? {
             if let Some(name) = listing::stem(&path).strip_suffix(suffix) {
-                listing::insert_once(files, name.to_owned(), path, gaps);
+                layout::insert_once(files, name.to_owned(), path, gaps);
             }
         }
     }
@@ -47,17 +48,13 @@ pub fn triplets(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>
         }
         if let (Some(frame1), Some(frame2)) = (frame1, frame2) {
             let occlusion = occlusion.map(|path| Occlusion::Picture(folders.file(path)));
-            let scene = String::new();
             entries.push(Entry {
-                scene,
                 frame: name,
-                frame1: folders.file(frame1),
-                frame2: folders.file(frame2),
                 flow: flow.map(|path| folders.file(path)),
                 mask: mask.map(|path| folders.file(path)),
                 occlusion,
                 regions: regions.map(|path| folders.file(path)),
-                depth: None,
+                ..Entry::bare(String::new(), folders.file(frame1), folders.file(frame2))
             });
             gaps.listed(1);
         }

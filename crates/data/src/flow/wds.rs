@@ -11,9 +11,10 @@ use srflow_core::excerpt;
 use srflow_pack::{INDEX_NAME, Listing, Member, Place, SampleMembers, expand, read_index, scan};
 
 use super::gaps::Gaps;
-use super::listing;
+use super::layout;
 use super::sequence::Direction;
 use super::{DatasetError, Entry, EntryFile, Kind, Occlusion, Reader, Split};
+use crate::listing;
 use crate::manifest::SceneSplit;
 
 pub(super) const KIND: Kind = Kind {
@@ -95,7 +96,7 @@ fn tars(dir: &Path, place: &Place) -> Result<Option<Vec<Place>>, DatasetError> {
     let found = if folder.is_dir() { listing::files(folder, &["tar"])? } else { Vec::new() };
     if found.is_empty() {
         let hint = format!("A folder of `srflow pack` has {INDEX_NAME} and tars");
-        return Err(listing::nothing_fits(KIND.name, folder, "*.tar", &hint));
+        return Err(layout::nothing_fits(KIND.name, folder, "*.tar", &hint));
     }
     Ok(Some(found.into_iter().map(Place::Disk).collect()))
 }
@@ -181,17 +182,9 @@ impl Pairs {
                 regions: file("regions"),
                 depth: file("depth"),
             },
-            Direction::Backward => Entry {
-                scene,
-                frame,
-                frame1: frame2,
-                frame2: frame1,
-                flow: file("flow_backward"),
-                mask: None,
-                occlusion: None,
-                regions: None,
-                depth: None,
-            },
+            Direction::Backward => {
+                Entry { frame, flow: file("flow_backward"), ..Entry::bare(scene, frame2, frame1) }
+            }
         });
     }
 

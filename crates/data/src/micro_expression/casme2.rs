@@ -6,8 +6,8 @@
 use std::path::Path;
 
 use super::coded::{self, Coding, Objective};
+use super::forms;
 use super::frames::{ClipFolders, below};
-use super::sheet::Form;
 use super::{Annotation, ClipKind, ClipSource, MicroExpressionError};
 
 pub(super) const KIND: ClipKind = ClipKind {
@@ -15,39 +15,18 @@ pub(super) const KIND: ClipKind = ClipKind {
     releases: &["raw", "cropped"],
     about: "CASME II, the raw or the cropped release (default: the one that is found)",
     published: Some([88, 32, 25]),
-    form: Some(&FORM),
     labels: |source| coded::read(&CODING, source),
     folders,
 };
 
-static FORM: Form = Form {
-    kind: "casme2",
-    called: "CASME II's annotations (CASME2-coding-20140508.xlsx)",
-    columns: &[
-        "Subject",
-        "Filename",
-        "OnsetFrame",
-        "ApexFrame",
-        "OffsetFrame",
-        "Action Units",
-        "Estimated Emotion",
-    ],
-};
-
-static OBJECTIVE_FORM: Form = Form {
-    kind: "casme2",
-    called: "CASME II's objective classes (CASME2-ObjectiveClasses.xlsx)",
-    columns: &["Subject", "Filename", "Objective Class"],
-};
-
 const CODING: Coding = Coding {
-    form: &FORM,
+    form: &forms::CASME2,
     frames: ["OnsetFrame", "ApexFrame", "OffsetFrame"],
     subject_digits: 2,
     emotions: &["disgust", "repression", "happiness", "surprise", "others", "other", "sadness", "fear"],
     emotions_called: "CASME II's seven",
     apex_may_be_unknown: true,
-    objective: Objective::Spreadsheet(&OBJECTIVE_FORM),
+    objective: Objective::Spreadsheet(&forms::CASME2_OBJECTIVE),
 };
 
 /// Subfolders of each release in the unpacked archives; last, the folder itself.
@@ -91,9 +70,9 @@ fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolder
 /// The release, judged by the name of a frame.
 fn form_of_frames(found: &ClipFolders) -> &'static str {
     let first = found.folders.iter().find(|folder| folder.is_dir());
-    let pictures = first.and_then(|folder| crate::flow::pictures(folder).ok()).unwrap_or_default();
+    let pictures = first.and_then(|folder| crate::listing::pictures(folder).ok()).unwrap_or_default();
     match pictures.first() {
-        Some(picture) if crate::flow::listing::name(picture).starts_with("reg_") => "cropped",
+        Some(picture) if crate::listing::name(picture).starts_with("reg_") => "cropped",
         _ => "raw",
     }
 }

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::classes::Coded;
-use super::sheet::{Form, Row, read_spreadsheet, spreadsheet_in};
+use super::forms::Form;
+use super::sheet::{Row, read_spreadsheet, spreadsheet_in};
 use super::{Annotation, ClipSource, DropReason, Dropped, Labels, MicroExpressionError};
 
 /// The format of one dataset's spreadsheet.

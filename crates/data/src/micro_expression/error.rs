@@ -2,8 +2,7 @@ use std::path::{Path, PathBuf};
 
 use srflow_files::FileError;
 
-use super::frames::MissingFrames;
-use crate::flow::DatasetError;
+use super::MissingFrames;
 
 /// Errors of reading a micro-expression dataset.
 #[derive(Debug, thiserror::Error)]
@@ -93,10 +92,7 @@ pub enum MicroExpressionError {
     /// Two datasets have the same name.
     #[error("two datasets have the name `{0}`; give each once, and plain ones in folders of different names")]
     SameName(String),
-    /// A folder could not be listed.
-    #[error(transparent)]
-    Folder(#[from] DatasetError),
-    /// A file could not be written.
+    /// A file or folder could not be read, or a file not written.
     #[error(transparent)]
     File(#[from] FileError),
 }

@@ -1,12 +1,10 @@
 //! Locating the frames of clips, and finding missing ones.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::path::{Path, PathBuf};
 
-use super::{Annotation, Clip, DropReason, Dropped, MicroExpressionError};
-use crate::flow::DatasetError;
-use crate::flow::listing;
+use super::{Annotation, Clip, DropReason, Dropped, MicroExpressionError, MissingFrames};
+use crate::listing;
 
 /// The folders of a dataset's clips, in the annotations' order; they need not exist.
 pub struct ClipFolders {
@@ -53,7 +51,7 @@ pub fn numbered_frames(folder: &Path) -> Result<BTreeMap<u64, PathBuf>, MicroExp
         if let Some(other) = frames.insert(number, path.clone()) {
             let other = listing::name(&other);
             let reason = format!("frame {number} exists twice, also as {other}; keep one of the two");
-            return Err(DatasetError::Format { path, reason }.into());
+            return Err(MicroExpressionError::Table { path, reason });
         }
     }
     Ok(frames)
@@ -139,49 +137,6 @@ fn gaps(frames: &BTreeMap<u64, PathBuf>, first: u64, last: u64) -> Vec<(u64, u64
         gaps.push((next, last));
     }
     gaps
-}
-
-/// The missing frames of one clip.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct MissingFrames {
-    pub subject: String,
-    pub clip: String,
-    /// The folder that was searched.
-    pub folder: PathBuf,
-    /// Their numbers, as inclusive ranges.
-    pub numbers: Vec<(u64, u64)>,
-    /// Whether onset and apex exist, so that the clip can be used with key frames alone.
-    pub holds_key_frames: bool,
-    /// Whether onset or apex is missing, so that the clip cannot be used.
-    pub dropped: bool,
-}
-
-impl MissingFrames {
-    /// The number of missing frames.
-    pub fn count(&self) -> u64 {
-        let counts = self.numbers.iter().map(|(first, last)| (last - first).saturating_add(1));
-        counts.fold(0, u64::saturating_add)
-    }
-}
-
-impl fmt::Display for MissingFrames {
-    /// `006/006_1_2: 3 frames: 5562, 5570-5571`.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        const NAMED: usize = 6;
-        let plural = if self.count() == 1 { "" } else { "s" };
-        write!(f, "{}/{}: {} frame{plural}: ", self.subject, self.clip, self.count())?;
-        for (at, (first, last)) in self.numbers.iter().take(NAMED).enumerate() {
-            let comma = if at == 0 { "" } else { ", " };
-            if first == last { write!(f, "{comma}{first}")? } else { write!(f, "{comma}{first}-{last}")? }
-        }
-        if self.numbers.len() > NAMED {
-            write!(f, " and {} more gaps", self.numbers.len() - NAMED)?;
-        }
-        if !self.folder.is_dir() {
-            write!(f, " (no folder {})", self.folder.display())?;
-        }
-        Ok(())
-    }
 }
 
 #[cfg(test)]

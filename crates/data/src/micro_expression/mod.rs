@@ -8,29 +8,33 @@ mod apex_list;
 mod casme2;
 mod class;
 mod classes;
+mod clip;
 mod coded;
 mod composite;
 mod error;
+mod forms;
 mod frames;
 mod plain;
 mod samm;
 mod sheet;
 mod smic;
 mod source;
+mod table;
 mod xlsx;
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::collections::BTreeSet;
+use std::path::PathBuf;
 
 pub use annotation::{Annotation, DropReason, Dropped};
 pub use apex_list::{ApexRow, write_apex_list};
 pub use class::EmotionClass;
 pub use classes::{CLASS_SETS, Classes};
+pub use clip::{Clip, MissingFrames};
 pub use composite::{check_distinct, count_classes, published_counts};
 pub use error::MicroExpressionError;
-pub use frames::MissingFrames;
 pub use plain::{PLAIN_COLUMNS, PLAIN_NAME, write_plain};
-pub use source::{CLIP_KINDS, ClipKind, ClipSource};
+pub use source::{ClipKind, ClipSource};
+pub use table::CLIP_KINDS;
 
 use frames::{Located, locate};
 use srflow_core::{excerpt, excerpts, is_unprintable};
@@ -98,29 +102,6 @@ fn check_names(annotation: &Annotation) -> Result<(), String> {
         }
     }
     Ok(())
-}
-
-/// One clip and its frames.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Clip {
-    pub dataset: String,
-    pub annotation: Annotation,
-    /// Folder of the frames.
-    pub folder: PathBuf,
-    /// The existing frames from onset to offset, by number.
-    pub frames: BTreeMap<u64, PathBuf>,
-}
-
-impl Clip {
-    /// `dataset/subject/clip`: unique among all datasets.
-    pub fn id(&self) -> String {
-        format!("{}/{}/{}", self.dataset, self.annotation.subject, self.annotation.clip)
-    }
-
-    /// The file of a frame between onset and offset, if it exists.
-    pub fn frame(&self, number: u64) -> Option<&Path> {
-        self.frames.get(&number).map(PathBuf::as_path)
-    }
 }
 
 /// A dataset whose clips were found.

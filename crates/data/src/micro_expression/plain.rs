@@ -12,14 +12,13 @@ use super::classes::Coded;
 use super::frames::ClipFolders;
 use super::sheet::{Row, read_csv};
 use super::{Annotation, Classes, ClipKind, ClipSource, DropReason, Dropped, Labels, MicroExpressionError};
-use crate::flow::listing;
+use crate::listing;
 
 pub(super) const KIND: ClipKind = ClipKind {
     name: "clips",
     releases: &[],
     about: "your own clips, listed in a clips.csv",
     published: None,
-    form: None,
     labels: read,
     folders,
 };
@@ -29,6 +28,13 @@ pub const PLAIN_NAME: &str = "clips.csv";
 
 /// Required columns.
 pub const PLAIN_COLUMNS: [&str; 6] = ["clip", "subject", "onset", "apex", "offset", "class"];
+
+impl ClipSource {
+    /// Plain clips in a folder.
+    pub(crate) fn plain(dir: &Path) -> Self {
+        Self::new(&KIND, dir)
+    }
+}
 
 /// The CSV file of a source: the file itself, or `clips.csv` in its folder.
 fn file_of(source: &ClipSource) -> PathBuf {

@@ -6,8 +6,8 @@
 use std::path::Path;
 
 use super::coded::{self, Coding, Objective};
+use super::forms;
 use super::frames::{ClipFolders, below};
-use super::sheet::Form;
 use super::{Annotation, ClipKind, ClipSource, MicroExpressionError};
 
 pub(super) const KIND: ClipKind = ClipKind {
@@ -15,28 +15,12 @@ pub(super) const KIND: ClipKind = ClipKind {
     releases: &[],
     about: "SAMM",
     published: Some([92, 26, 15]),
-    form: Some(&FORM),
     labels: |source| coded::read(&CODING, source),
     folders,
 };
 
-static FORM: Form = Form {
-    kind: "samm",
-    called: "SAMM's annotations (SAMM_Micro_FACS_Codes_v2.xlsx)",
-    columns: &[
-        "Subject",
-        "Filename",
-        "Inducement Code",
-        "Onset Frame",
-        "Apex Frame",
-        "Offset Frame",
-        "Action Units",
-        "Estimated Emotion",
-    ],
-};
-
 const CODING: Coding = Coding {
-    form: &FORM,
+    form: &forms::SAMM,
     frames: ["Onset Frame", "Apex Frame", "Offset Frame"],
     subject_digits: 3,
     emotions: &[

@@ -7,22 +7,13 @@ use srflow_core::{excerpt, excerpts};
 use srflow_files::{FileKind, open_file, read_file};
 
 use super::MicroExpressionError;
-use super::source::{CLIP_KINDS, ClipSource};
+use super::forms::{FORMS, Form};
+use super::source::ClipSource;
 use super::xlsx::{Cells, read_workbook};
-use crate::flow::listing;
+use crate::listing;
 
 /// Number of rows in which the header is looked for.
 const HEADER_ROWS: u32 = 40;
-
-/// The format of a published spreadsheet.
-#[derive(Debug)]
-pub struct Form {
-    pub kind: &'static str,
-    /// Description and file name, for messages.
-    pub called: &'static str,
-    /// Columns that the header row must contain, exactly as spelled.
-    pub columns: &'static [&'static str],
-}
 
 /// A table with named columns.
 #[derive(Debug)]
@@ -152,8 +143,8 @@ fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
             return Ok(Table::of(path, columns, rows.clone(), header));
         }
     }
-    let fits = |other: &&Form| sheets.iter().any(|rows| header_of(rows, other.columns).is_some());
-    let found = match CLIP_KINDS.iter().filter_map(|kind| kind.form).find(fits) {
+    let fits = |other: &&&Form| sheets.iter().any(|rows| header_of(rows, other.columns).is_some());
+    let found = match FORMS.iter().find(fits) {
         Some(other) => format!("these are those of {}; give the file of {}", other.called, form.called),
         None => match sheets.iter().flat_map(BTreeMap::values).find(|row| row.len() > 2) {
             Some(row) => {

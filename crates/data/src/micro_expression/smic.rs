@@ -11,27 +11,21 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::classes::Coded;
+use super::forms;
 use super::frames::{ClipFolders, numbered_frames};
-use super::sheet::{Form, Table, read_csv, read_spreadsheet, spreadsheet_in};
+use super::sheet::{Table, read_csv, read_spreadsheet, spreadsheet_in};
 use super::{
     Annotation, ClipKind, ClipSource, DropReason, Dropped, EmotionClass, Labels, MicroExpressionError,
 };
-use crate::flow::listing;
+use crate::listing;
 
 pub(super) const KIND: ClipKind = ClipKind {
     name: "smic",
     releases: &[],
     about: "SMIC-HS, extended or short",
     published: Some([65, 51, 41]),
-    form: Some(&FORM),
     labels: read,
     folders,
-};
-
-static FORM: Form = Form {
-    kind: "smic",
-    called: "SMIC-HS's annotations (SMIC-HS-E_annotation.xlsx)",
-    columns: &["Subject", "Filename", "OnsetF", "OffsetF", "Onset2F", "Emotion"],
 };
 
 /// Published names of the list of apex frames.
@@ -92,13 +86,13 @@ impl Key {
 
 fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
     let Rows { file, mut annotations, dropped } = if source.annotations.is_some() {
-        of_table(source, read_spreadsheet(&FORM, source)?)?
-    } else if let Some(table) = spreadsheet_in(&FORM, &source.dir)? {
+        of_table(source, read_spreadsheet(&forms::SMIC, source)?)?
+    } else if let Some(table) = spreadsheet_in(&forms::SMIC, &source.dir)? {
         of_table(source, table)?
     } else if let Some(root) = short_root(&source.dir)? {
         of_short_clips(source, &root)?
     } else {
-        of_table(source, read_spreadsheet(&FORM, source)?)?
+        of_table(source, read_spreadsheet(&forms::SMIC, source)?)?
     };
     let beside = || APEX_LISTS.iter().map(|name| source.dir.join(name)).find(|path| path.is_file());
     if let Some(list) = source.apex_list.clone().or_else(beside) {

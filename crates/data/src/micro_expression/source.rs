@@ -1,10 +1,8 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 use super::frames::ClipFolders;
-use super::sheet::Form;
-use super::{Annotation, Classes, Labels, MicroExpressionError, casme2, plain, samm, smic};
+use super::{Annotation, Classes, Labels, MicroExpressionError};
 
 /// A kind of micro-expression dataset: its names and readers.
 #[derive(Debug)]
@@ -17,16 +15,11 @@ pub struct ClipKind {
     pub about: &'static str,
     /// The paper's counts of negative, positive and surprise clips (its table of the micro-expression datasets).
     pub published: Option<[usize; 3]>,
-    /// Its annotation spreadsheet, if it has one.
-    pub(super) form: Option<&'static Form>,
     /// Reads its annotations.
     pub(super) labels: fn(&ClipSource) -> Result<Labels, MicroExpressionError>,
     /// Finds the folders of the annotated clips.
     pub(super) folders: fn(&ClipSource, &[Annotation]) -> Result<ClipFolders, MicroExpressionError>,
 }
-
-/// The kinds of micro-expression dataset.
-pub static CLIP_KINDS: [ClipKind; 4] = [samm::KIND, casme2::KIND, smic::KIND, plain::KIND];
 
 impl fmt::Display for ClipKind {
     /// `casme2[-raw|-cropped]`.
@@ -62,33 +55,11 @@ pub struct ClipSource {
     pub only_key_frames: bool,
 }
 
-impl FromStr for ClipSource {
-    type Err = MicroExpressionError;
-
-    /// Parses `KIND:DIR`; the folder may contain colons. Nothing is opened.
-    fn from_str(text: &str) -> Result<Self, MicroExpressionError> {
-        let wrong = || {
-            let known: Vec<String> = CLIP_KINDS.iter().map(ClipKind::to_string).collect();
-            MicroExpressionError::NotKindAndFolder { found: text.to_owned(), known: known.join(", ") }
-        };
-        let (word, dir) = text.split_once(':').filter(|(_, dir)| !dir.is_empty()).ok_or_else(wrong)?;
-        let (name, release) =
-            word.split_once('-').map_or((word, None), |(name, release)| (name, Some(release)));
-        let kind = CLIP_KINDS.iter().find(|kind| kind.name == name).ok_or_else(wrong)?;
-        let known =
-            |word: &str| kind.releases.iter().find(|known| **known == word).copied().ok_or_else(wrong);
-        let release = release.map(known).transpose()?;
-        Ok(Self { kind, release, ..Self::plain(Path::new(dir)) })
-    }
-}
-
-srflow_core::serialize_as_text!(ClipSource);
-
 impl ClipSource {
-    /// Plain clips in a folder.
-    pub(crate) fn plain(dir: &Path) -> Self {
+    /// The dataset of this kind in a folder.
+    pub(crate) fn new(kind: &'static ClipKind, dir: &Path) -> Self {
         Self {
-            kind: &plain::KIND,
+            kind,
             release: None,
             dir: dir.to_owned(),
             annotations: None,
@@ -106,25 +77,5 @@ impl fmt::Display for ClipSource {
             write!(f, "-{release}")?;
         }
         write!(f, ":{}", self.dir.display())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn kinds_and_folders_are_read_back() {
-        for text in ["samm:/data/SAMM", "casme2:x", "casme2-cropped:c:\\CASME2", "smic:a:b", "clips:mine"] {
-            assert_eq!(text.parse::<ClipSource>().unwrap().to_string(), text);
-        }
-    }
-
-    #[test]
-    fn errors_list_the_kinds() {
-        for text in ["", "samm", "samm:", "casme:/data", "casme2-RAW:x", "/data/SAMM"] {
-            let error = text.parse::<ClipSource>().unwrap_err().to_string();
-            assert!(error.contains("casme2[-raw|-cropped]") && error.contains("KIND:DIR"), "{error}");
-        }
     }
 }

@@ -1,14 +1,9 @@
-//! Listing folders in natural order, and messages about missing files.
+//! Listing folders in natural order, and their contents in messages.
 
 use std::cmp::Ordering;
-use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
-use srflow_files::{FlowFormat, IMAGE_EXTENSIONS};
-
-use super::error::DatasetError;
-use super::gaps::Gaps;
+use srflow_files::{FileError, FileProblem, FlowFormat, IMAGE_EXTENSIONS};
 
 /// Extensions of frames, masks and occlusions.
 pub const IMAGES: &[&str] = &IMAGE_EXTENSIONS;
@@ -53,7 +48,7 @@ fn without_zeros(digits: &[u8]) -> &[u8] {
 pub const MASKS: &[&str] = &["png", "jpg", "jpeg", "ppm", "pgm", "bmp", "npy"];
 
 /// The files of `dir` with one of the extensions `endings` (case-insensitive), in natural order. Hidden files are skipped.
-pub fn files(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, DatasetError> {
+pub fn files(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, FileError> {
     let has_ending = |path: &Path| {
         let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
         endings.iter().any(|e| e.eq_ignore_ascii_case(ending))
@@ -65,7 +60,7 @@ pub fn files(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, DatasetError>
 ///
 /// # Errors
 /// When the folder cannot be read.
-pub fn pictures(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+pub fn pictures(dir: &Path) -> Result<Vec<PathBuf>, FileError> {
     files(dir, IMAGES)
 }
 
@@ -73,23 +68,23 @@ pub fn pictures(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
 ///
 /// # Errors
 /// When the folder cannot be read.
-pub fn flow_files(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+pub fn flow_files(dir: &Path) -> Result<Vec<PathBuf>, FileError> {
     let formats = FlowFormat::ALL.into_iter().filter(|format| *format != FlowFormat::KittiPng);
     files(dir, &formats.map(FlowFormat::extension).collect::<Vec<&str>>())
 }
 
 /// [`files`], or nothing if the folder does not exist.
-pub fn files_if_there(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, DatasetError> {
+pub fn files_if_there(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, FileError> {
     if dir.is_dir() { files(dir, endings) } else { Ok(Vec::new()) }
 }
 
 /// The folders in `dir`, in natural order. Hidden ones are skipped.
-pub fn folders(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+pub fn folders(dir: &Path) -> Result<Vec<PathBuf>, FileError> {
     Ok(visible(dir)?.into_iter().filter(|path| path.is_dir()).collect())
 }
 
-fn visible(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
-    let failed = |error| DatasetError::Io { path: dir.to_owned(), error };
+fn visible(dir: &Path) -> Result<Vec<PathBuf>, FileError> {
+    let failed = |error| FileProblem::Io { doing: "listing the folder", error }.in_file(dir);
     let mut named = Vec::new();
     for entry in std::fs::read_dir(dir).map_err(failed)? {
         let entry = entry.map_err(failed)?;
@@ -102,41 +97,6 @@ fn visible(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     Ok(named.into_iter().map(|(_, path)| path).collect())
 }
 
-/// The folders two levels below `frames` of `dir`, as `PART/OUTER/INNER` for each of `parts`. Folders that lie so below `flows`
-/// and not there are gaps.
-pub fn places(
-    kind: &str,
-    dir: &Path,
-    parts: &[&str],
-    [frames, flows]: [&str; 2],
-    gaps: &mut Gaps,
-) -> Result<Vec<String>, DatasetError> {
-    let mut places = Vec::new();
-    for part in parts {
-        let frames = require(kind, dir, &format!("{frames}/{part}"))?;
-        let flows = require(kind, dir, &format!("{flows}/{part}"))?;
-        folders_without(&flows, &frames, gaps)?;
-        for outer in folders(&frames)? {
-            folders_without(&flows.join(name(&outer)), &outer, gaps)?;
-            let inner = folders(&outer)?;
-            places.extend(inner.iter().map(|inner| format!("{part}/{}/{}", name(&outer), name(inner))));
-        }
-    }
-    Ok(places)
-}
-
-/// Reports as gaps the folders of `dir` that have no counterpart of the same name in `counterpart`. `dir` need not exist.
-pub fn folders_without(dir: &Path, counterpart: &Path, gaps: &mut Gaps) -> Result<(), DatasetError> {
-    let found = if dir.is_dir() { folders(dir)? } else { Vec::new() };
-    for folder in found {
-        let other = counterpart.join(name(&folder));
-        if !other.is_dir() {
-            gaps.push(format!("{}: no folder {}", gaps.shown(&folder), gaps.shown(&other)));
-        }
-    }
-    Ok(())
-}
-
 /// The last component of a path, as text.
 pub fn name(path: &Path) -> String {
     path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
@@ -147,67 +107,13 @@ pub fn stem(path: &Path) -> String {
     path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// The files of a folder by the last number in their names: `OpticalFlowIntoFuture_0006_L.pfm` is 6.
-pub type Numbered = BTreeMap<u64, PathBuf>;
-
-/// The files of `dir` by number. A name without one and a number that occurs twice are gaps.
-pub fn numbered(dir: &Path, endings: &[&str], gaps: &mut Gaps) -> Result<Numbered, DatasetError> {
-    let mut found = Numbered::new();
-    for path in files(dir, endings)? {
-        match last_number(&stem(&path)) {
-            Some(number) => insert_once(&mut found, number, path, gaps),
-            None => gaps.push(format!("{}: no frame number in its name", gaps.shown(&path))),
-        }
-    }
-    Ok(found)
-}
-
-/// Adds a file under its key; where another has the key already, that is a gap.
-pub fn insert_once<K: Ord>(found: &mut BTreeMap<K, PathBuf>, key: K, path: PathBuf, gaps: &mut Gaps) {
-    match found.entry(key) {
-        Entry::Vacant(free) => _ = free.insert(path),
-        Entry::Occupied(other) => {
-            gaps.push(format!("{} exists twice, also as {}", gaps.shown(&path), name(other.get())));
-        }
-    }
-}
-
-/// [`numbered`], or nothing if the folder does not exist.
-pub fn numbered_if_there(dir: &Path, endings: &[&str], gaps: &mut Gaps) -> Result<Numbered, DatasetError> {
-    if dir.is_dir() { numbered(dir, endings, gaps) } else { Ok(Numbered::new()) }
-}
-
+/// The last run of digits in a name.
 pub fn last_number(stem: &str) -> Option<u64> {
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
     let start = stem[..end]
         .rfind(|c: char| !c.is_ascii_digit())
         .map_or(0, |at| at + stem[at..].chars().next().map_or(1, char::len_utf8));
     stem[start..end].parse().ok()
-}
-
-/// Checks that `dir` contains `needed` (a relative path with `/` separators). Otherwise the error says what `dir` contains on
-/// the way there, and where `needed` is if that is one or two levels up or down.
-pub fn require(kind: &str, dir: &Path, needed: &str) -> Result<PathBuf, DatasetError> {
-    let wanted = dir.join(needed);
-    if wanted.exists() {
-        return Ok(wanted);
-    }
-    let hint = elsewhere(dir, needed)
-        .map(|place| format!(". It is under {0}: give {kind}:{0}", place.display()))
-        .unwrap_or_default();
-    let looked_for = wanted.display().to_string();
-    let reached = wanted.ancestors().find(|place| place.is_dir() && place.starts_with(dir)).unwrap_or(dir);
-    Err(DatasetError::NotThere { kind: kind.to_owned(), looked_for, found: contents(reached), hint })
-}
-
-/// The error for a pattern that matches no file of `dir`.
-pub fn nothing_fits(kind: &str, dir: &Path, pattern: &str, hint: &str) -> DatasetError {
-    DatasetError::NotThere {
-        kind: kind.to_owned(),
-        looked_for: dir.join(pattern).display().to_string(),
-        found: contents(dir),
-        hint: if hint.is_empty() { String::new() } else { format!(". {hint}") },
-    }
 }
 
 /// A folder one or two levels up or down from `dir` that contains `needed`.

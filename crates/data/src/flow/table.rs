@@ -3,19 +3,8 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::error::DatasetError;
-use super::{Reader, chairs, clips, facialflownet, hd1k, kitti, plain, sintel, spring, srflow, things, wds};
-
-/// A kind of dataset, as in `--dataset KIND:DIR`.
-pub struct Kind {
-    /// Its name, e.g. `sintel`.
-    pub name: &'static str,
-    /// Its options, each after a hyphen: one from every list, the first being the default.
-    pub options: &'static [&'static [&'static str]],
-    /// Title in the help.
-    pub about: &'static str,
-    /// Its reader, given one option from every list.
-    pub(super) reader: fn(&[&'static str]) -> Box<dyn Reader>,
-}
+use super::reader::{Kind, Reader};
+use super::{chairs, clips, facialflownet, hd1k, kitti, plain, sintel, spring, srflow, things, wds};
 
 /// The kinds of dataset.
 pub static KINDS: [Kind; 11] = [
@@ -31,17 +20,6 @@ pub static KINDS: [Kind; 11] = [
     clips::KIND,
     wds::KIND,
 ];
-
-impl fmt::Display for Kind {
-    /// `things[-clean|-final][-forward|-backward][-left|-right]`.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name)?;
-        for choices in self.options {
-            write!(f, "[-{}]", choices.join("|-"))?;
-        }
-        Ok(())
-    }
-}
 
 /// The value of `--dataset KIND:DIR`: a kind of dataset and its folder.
 ///

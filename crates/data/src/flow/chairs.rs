@@ -10,22 +10,24 @@ use srflow_files::{FileKind, read_text};
 use super::gaps::Gaps;
 use super::layout;
 use super::triplets::triplets;
-use super::{DatasetError, Entry, Kind, Reader, Split};
+use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
 
 const SPLIT_FILE: &str = "FlyingChairs_train_val.txt";
 
-pub(super) const KIND: Kind =
-    Kind { name: "chairs", options: &[], about: "FlyingChairs", reader: |_| Box::new(FlyingChairs) };
+pub(super) const KIND: Kind = Kind {
+    name: "chairs",
+    options: &[],
+    about: "FlyingChairs",
+    default_split: Split::Val,
+    truth: Truth::USUAL,
+    reader: |_| Box::new(FlyingChairs),
+};
 
 pub struct FlyingChairs;
 
 impl Reader for FlyingChairs {
     fn name(&self) -> String {
         "chairs".to_owned()
-    }
-
-    fn default_split(&self) -> Split {
-        Split::Val
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

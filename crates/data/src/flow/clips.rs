@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use super::gaps::Gaps;
-use super::{DatasetError, Entry, Kind, Reader, Split};
+use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
 use crate::listing;
 use crate::micro_expression::{Clip, ClipDataset, ClipSource};
 
@@ -13,6 +13,8 @@ pub(super) const KIND: Kind = Kind {
     name: "clips",
     options: &[],
     about: "clips of srflow mer synth, from onset to apex",
+    default_split: Split::All,
+    truth: Truth::USUAL,
     reader: |_| Box::new(Clips),
 };
 
@@ -21,10 +23,6 @@ pub struct Clips;
 impl Reader for Clips {
     fn name(&self) -> String {
         KIND.name.to_owned()
-    }
-
-    fn default_split(&self) -> Split {
-        Split::All
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

@@ -36,9 +36,9 @@ impl FlowDataset {
         split: Option<Split>,
         on_pairs: impl Fn(u64),
     ) -> Result<Self, DatasetError> {
-        let reader = reader_of(&spec.kind)?;
+        let (kind, reader) = reader_of(&spec.kind)?;
         let name = reader.name();
-        let split = split.unwrap_or_else(|| reader.default_split());
+        let split = split.unwrap_or(kind.default_split);
         let mut gaps = Gaps::new(name.clone(), &spec.dir, Box::new(on_pairs));
         let entries = reader.pairs(&spec.dir, split, &mut gaps)?;
         gaps.finish()?;
@@ -50,20 +50,14 @@ impl FlowDataset {
                 &format!("The {split} split has no pair"),
             ));
         }
-        Ok(Self { name, dir: spec.dir.clone(), split, entries, truth: reader.truth() })
+        Ok(Self { name, dir: spec.dir.clone(), split, entries, truth: kind.truth })
     }
 
     /// A dataset of one pair, whose files may be anywhere and are not opened yet.
     pub fn of_pair(frame1: PathBuf, frame2: PathBuf, flow: PathBuf) -> Self {
         let dir = frame1.parent().unwrap_or(Path::new("")).to_owned();
         let entry = Entry { flow: Some(flow.into()), ..Entry::bare(String::new(), frame1, frame2) };
-        Self {
-            name: "pair".to_owned(),
-            dir,
-            split: Split::All,
-            entries: vec![entry],
-            truth: Truth::default(),
-        }
+        Self { name: "pair".to_owned(), dir, split: Split::All, entries: vec![entry], truth: Truth::USUAL }
     }
 
     /// The dataset with these of its pairs alone, by their numbers, in this order. Panics when there is no such pair.

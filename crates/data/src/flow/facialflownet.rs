@@ -14,6 +14,8 @@ pub(super) const KIND: Kind = Kind {
     name: "facialflownet",
     options: &[&["facial", "head"]],
     about: "FacialFlowNet",
+    default_split: Split::Test,
+    truth: Truth { max_flow: 1000.0, ..Truth::USUAL },
     reader: |chosen| Box::new(FacialFlowNet { motion: chosen[0] }),
 };
 
@@ -25,14 +27,6 @@ pub struct FacialFlowNet {
 impl Reader for FacialFlowNet {
     fn name(&self) -> String {
         format!("facialflownet-{}", self.motion)
-    }
-
-    fn default_split(&self) -> Split {
-        Split::Test
-    }
-
-    fn truth(&self) -> Truth {
-        Truth { max_flow: 1000.0, ..Truth::default() }
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

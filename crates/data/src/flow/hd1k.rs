@@ -14,21 +14,20 @@ use crate::listing;
 /// First of the sequences that ptlflow uses for validation (data/Hd1k_val.txt).
 const FIRST_VALIDATION_SEQUENCE: u64 = 30;
 
-pub(super) const KIND: Kind = Kind { name: "hd1k", options: &[], about: "HD1K", reader: |_| Box::new(Hd1k) };
+pub(super) const KIND: Kind = Kind {
+    name: "hd1k",
+    options: &[],
+    about: "HD1K",
+    default_split: Split::All,
+    truth: Truth { max_flow: 512.0, density: TruthDensity::Sparse, ..Truth::USUAL },
+    reader: |_| Box::new(Hd1k),
+};
 
 pub struct Hd1k;
 
 impl Reader for Hd1k {
     fn name(&self) -> String {
         "hd1k".to_owned()
-    }
-
-    fn default_split(&self) -> Split {
-        Split::All
-    }
-
-    fn truth(&self) -> Truth {
-        Truth { max_flow: 512.0, density: TruthDensity::Sparse, ..Truth::default() }
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

@@ -14,6 +14,8 @@ pub(super) const KIND: Kind = Kind {
     name: "kitti",
     options: &[&["2015", "2012"]],
     about: "KITTI flow of either year",
+    default_split: Split::All,
+    truth: Truth { max_flow: 512.0, density: TruthDensity::Sparse, ..Truth::USUAL },
     reader: |chosen| Box::new(Kitti { year: chosen[0] }),
 };
 
@@ -25,14 +27,6 @@ pub struct Kitti {
 impl Reader for Kitti {
     fn name(&self) -> String {
         format!("kitti-{}", self.year)
-    }
-
-    fn default_split(&self) -> Split {
-        Split::All
-    }
-
-    fn truth(&self) -> Truth {
-        Truth { max_flow: 512.0, density: TruthDensity::Sparse, ..Truth::default() }
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

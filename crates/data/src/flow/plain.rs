@@ -14,13 +14,15 @@ use std::path::{Path, PathBuf};
 use super::gaps::Gaps;
 use super::layout;
 use super::triplets::triplets;
-use super::{DatasetError, Entry, Kind, Occlusion, Reader, Split};
+use super::{DatasetError, Entry, Kind, Occlusion, Reader, Split, Truth};
 use crate::listing;
 
 pub(super) const KIND: Kind = Kind {
     name: "folder",
     options: &[],
     about: "a plain folder of image pairs",
+    default_split: Split::All,
+    truth: Truth::USUAL,
     reader: |_| Box::new(Plain),
 };
 
@@ -29,10 +31,6 @@ pub struct Plain;
 impl Reader for Plain {
     fn name(&self) -> String {
         "folder".to_owned()
-    }
-
-    fn default_split(&self) -> Split {
-        Split::All
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

@@ -15,6 +15,10 @@ pub struct Kind {
     pub options: &'static [&'static [&'static str]],
     /// Title in the help.
     pub about: &'static str,
+    /// The split that results are reported on.
+    pub(super) default_split: Split,
+    /// Which part of the published ground truth is valid.
+    pub(super) truth: Truth,
     /// Its reader, given one option from every list.
     pub(super) reader: fn(&[&'static str]) -> Box<dyn Reader>,
 }
@@ -34,14 +38,6 @@ impl fmt::Display for Kind {
 pub(super) trait Reader {
     /// Kind with the options that matter, as shown in tables, e.g. `sintel-clean`.
     fn name(&self) -> String;
-
-    /// The default split: the one that results are reported on.
-    fn default_split(&self) -> Split;
-
-    /// Which part of the published ground truth is valid.
-    fn truth(&self) -> Truth {
-        Truth::default()
-    }
 
     /// Lists the pairs of one split under `dir`. Missing and extra files go to `gaps`.
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>;

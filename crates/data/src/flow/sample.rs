@@ -41,11 +41,9 @@ pub enum TruthDensity {
     Sparse,
 }
 
-impl Default for Truth {
+impl Truth {
     /// The rule of ptlflow 0.4.2 (data/datasets.py, `BaseFlowDataset`).
-    fn default() -> Self {
-        Self { max_flow: 10_000.0, samples_per_pixel: 1, density: TruthDensity::Dense }
-    }
+    pub const USUAL: Self = Self { max_flow: 10_000.0, samples_per_pixel: 1, density: TruthDensity::Dense };
 }
 
 /// What a file says about occlusion.

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::gaps::Gaps;
 use super::layout;
 use super::sequence::{Direction, Sequence};
-use super::{DatasetError, Entry, Kind, Reader, Split};
+use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
 use crate::listing;
 
 /// The scenes of the training set that ptlflow uses for validation (data/Sintel_val.txt).
@@ -16,6 +16,8 @@ pub(super) const KIND: Kind = Kind {
     name: "sintel",
     options: &[&["clean", "final"]],
     about: "MPI Sintel",
+    default_split: Split::All,
+    truth: Truth::USUAL,
     reader: |chosen| Box::new(Sintel { pass: chosen[0] }),
 };
 
@@ -27,10 +29,6 @@ pub struct Sintel {
 impl Reader for Sintel {
     fn name(&self) -> String {
         format!("sintel-{}", self.pass)
-    }
-
-    fn default_split(&self) -> Split {
-        Split::All
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

@@ -15,6 +15,8 @@ pub(super) const KIND: Kind = Kind {
     name: "spring",
     options: &[Direction::CHOICES, &["left", "right"]],
     about: "Spring",
+    default_split: Split::All,
+    truth: Truth { samples_per_pixel: 2, ..Truth::USUAL },
     reader: |chosen| Box::new(Spring { direction: Direction::of(chosen[0]), camera: chosen[1] }),
 };
 
@@ -29,14 +31,6 @@ impl Reader for Spring {
     fn name(&self) -> String {
         let right = if self.camera == "right" { "-right" } else { "" };
         format!("spring{}{right}", self.direction.suffix())
-    }
-
-    fn default_split(&self) -> Split {
-        Split::All
-    }
-
-    fn truth(&self) -> Truth {
-        Truth { samples_per_pixel: 2, ..Truth::default() }
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

@@ -7,7 +7,7 @@ use super::file::Folders;
 use super::gaps::Gaps;
 use super::layout;
 use super::sequence::Direction;
-use super::{DatasetError, Entry, EntryFile, Kind, Occlusion, Reader, Split};
+use super::{DatasetError, Entry, EntryFile, Kind, Occlusion, Reader, Split, Truth};
 use crate::listing;
 use crate::manifest::{MANIFEST_NAME, Manifest, SceneEntry, SceneSplit};
 
@@ -15,6 +15,8 @@ pub(super) const KIND: Kind = Kind {
     name: "srflow",
     options: &[Direction::CHOICES],
     about: "SRFlow, as `srflow render` makes it",
+    default_split: Split::Test,
+    truth: Truth::USUAL,
     reader: |chosen| Box::new(SrFlow { direction: Direction::of(chosen[0]) }),
 };
 
@@ -26,10 +28,6 @@ pub struct SrFlow {
 impl Reader for SrFlow {
     fn name(&self) -> String {
         format!("srflow{}", self.direction.suffix())
-    }
-
-    fn default_split(&self) -> Split {
-        Split::Test
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

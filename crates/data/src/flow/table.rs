@@ -55,8 +55,8 @@ impl FromStr for DatasetSpec {
     }
 }
 
-/// The reader for a kind.
-pub(super) fn reader_of(text: &str) -> Result<Box<dyn Reader>, DatasetError> {
+/// A kind with its reader, by its name with options.
+pub(super) fn reader_of(text: &str) -> Result<(&'static Kind, Box<dyn Reader>), DatasetError> {
     let unknown = |reason| DatasetError::UnknownKind { kind: text.to_owned(), reason };
     let mut words = text.split('-');
     let name = words.next().unwrap_or_default();
@@ -74,7 +74,7 @@ pub(super) fn reader_of(text: &str) -> Result<Box<dyn Reader>, DatasetError> {
     };
     let chosen: Vec<&'static str> = kind.options.iter().map(&mut choose).collect();
     match left.first() {
-        None => Ok((kind.reader)(&chosen)),
+        None => Ok((kind, (kind.reader)(&chosen))),
         Some(word) if kind.options.is_empty() => {
             Err(unknown(format!("`{word}` is not an option here; {name} takes none")))
         }

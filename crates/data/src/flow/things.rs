@@ -13,6 +13,8 @@ pub(super) const KIND: Kind = Kind {
     name: "things",
     options: &[&["clean", "final"], Direction::CHOICES, &["left", "right"]],
     about: "FlyingThings3D",
+    default_split: Split::Test,
+    truth: Truth { max_flow: 1000.0, ..Truth::USUAL },
     reader: |chosen| {
         Box::new(FlyingThings3D { pass: chosen[0], direction: Direction::of(chosen[1]), camera: chosen[2] })
     },
@@ -31,14 +33,6 @@ impl Reader for FlyingThings3D {
     fn name(&self) -> String {
         let right = if self.camera == "right" { "-right" } else { "" };
         format!("things-{}{}{right}", self.pass, self.direction.suffix())
-    }
-
-    fn default_split(&self) -> Split {
-        Split::Test
-    }
-
-    fn truth(&self) -> Truth {
-        Truth { max_flow: 1000.0, ..Truth::default() }
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

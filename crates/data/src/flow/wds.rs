@@ -13,7 +13,7 @@ use srflow_pack::{INDEX_NAME, Listing, Member, Place, SampleMembers, expand, rea
 use super::gaps::Gaps;
 use super::layout;
 use super::sequence::Direction;
-use super::{DatasetError, Entry, EntryFile, Kind, Occlusion, Reader, Split};
+use super::{DatasetError, Entry, EntryFile, Kind, Occlusion, Reader, Split, Truth};
 use crate::listing;
 use crate::manifest::SceneSplit;
 
@@ -21,6 +21,8 @@ pub(super) const KIND: Kind = Kind {
     name: "wds",
     options: &[Direction::CHOICES],
     about: "WebDataset tars of `srflow pack`: a folder, an http(s) address, or tars such as DIR/train-{000000..000009}.tar",
+    default_split: Split::Test,
+    truth: Truth::USUAL,
     reader: |chosen| Box::new(Wds { direction: Direction::of(chosen[0]) }),
 };
 
@@ -46,10 +48,6 @@ impl Wds {
 impl Reader for Wds {
     fn name(&self) -> String {
         format!("{}{}", KIND.name, self.direction.suffix())
-    }
-
-    fn default_split(&self) -> Split {
-        Split::Test
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

@@ -1,9 +1,6 @@
 use std::fmt;
 use std::str::FromStr;
 
-use serde::de::Error as _;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
 /// Decimal units, from the largest to the smallest.
 const UNITS: [(&str, u64); 4] = [("GB", 1_000_000_000), ("MB", 1_000_000), ("kB", 1000), ("KB", 1000)];
 
@@ -40,26 +37,7 @@ impl FromStr for TarSize {
     }
 }
 
-impl Serialize for TarSize {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
-    }
-}
-
-impl<'de> Deserialize<'de> for TarSize {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        #[derive(Deserialize)]
-        #[serde(untagged)]
-        enum Given {
-            Bytes(u64),
-            Text(String),
-        }
-        match Given::deserialize(deserializer)? {
-            Given::Bytes(bytes) => Ok(Self { bytes }),
-            Given::Text(text) => text.parse().map_err(D::Error::custom),
-        }
-    }
-}
+srflow_core::serialize_as_text!(TarSize);
 
 #[cfg(test)]
 mod tests {

@@ -117,8 +117,16 @@ fn the_architecture_page_lists_every_crate_in_order() {
 }
 
 /// Crates and the folders in them whose files must not import each other in circles.
-const WITHOUT_CIRCLES: [(&str, &str); 4] =
-    [("data", "micro_expression"), ("nets", ""), ("splat", "camera"), ("train", "")];
+const WITHOUT_CIRCLES: [(&str, &str); 8] = [
+    ("core", ""),
+    ("files", ""),
+    ("fetch", ""),
+    ("pack", ""),
+    ("data", ""),
+    ("nets", ""),
+    ("splat", "camera"),
+    ("train", ""),
+];
 
 /// The names of modules from the crate's root.
 type Module = Vec<String>;

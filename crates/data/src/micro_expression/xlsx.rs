@@ -53,18 +53,10 @@ pub(super) fn read_workbook(bytes: Vec<u8>) -> Result<Vec<Cells>, String> {
         archive: srflow_files::open_zip(bytes).map_err(|error| error.to_string())?,
         left: Budget::WHOLE,
     };
-    let targets = match workbook.part("xl/_rels/workbook.xml.rels")? {
-        Some(text) => relationships(&text)?,
-        None => return Err("it has no xl/_rels/workbook.xml.rels".into()),
-    };
-    let sheets = match workbook.part("xl/workbook.xml")? {
-        Some(text) => sheet_relationships(&text)?,
-        None => return Err("it has no xl/workbook.xml".into()),
-    };
-    let strings = match workbook.part("xl/sharedStrings.xml")? {
-        Some(text) => shared_strings(&text)?,
-        None => Vec::new(),
-    };
+    let targets = relationships(&workbook.needed("xl/_rels/workbook.xml.rels")?)?;
+    let sheets = sheet_relationships(&workbook.needed("xl/workbook.xml")?)?;
+    let strings = workbook.part("xl/sharedStrings.xml")?;
+    let strings = strings.map_or(Ok(Vec::new()), |text| shared_strings(&text))?;
     let mut read = BTreeSet::new();
     let mut found = Vec::new();
     for sheet in sheets {
@@ -79,7 +71,7 @@ pub(super) fn read_workbook(bytes: Vec<u8>) -> Result<Vec<Cells>, String> {
         if !name.contains("worksheets/") {
             continue; // a chart
         }
-        let text = workbook.part(&name)?.ok_or_else(|| format!("it has no {name}"))?;
+        let text = workbook.needed(&name)?;
         found.push(cells(&text, &strings, &mut workbook.left)?);
     }
     Ok(found)
@@ -109,6 +101,10 @@ impl Workbook {
         let text = String::from_utf8(bytes).map_err(|_| format!("{name}: expected UTF-8"))?;
         Ok(Some(text))
     }
+
+    fn needed(&mut self, name: &str) -> Result<String, String> {
+        self.part(name)?.ok_or_else(|| format!("it has no {name}"))
+    }
 }
 
 type Xml<'a> = Reader<&'a [u8]>;
@@ -128,55 +124,55 @@ fn attribute(tag: &BytesStart, is_name: impl Fn(&str) -> bool) -> Result<Option<
     Ok(None)
 }
 
-/// Targets of the relationships, by id.
-fn relationships(text: &str) -> Result<BTreeMap<String, String>, String> {
+/// Calls `on_tag` with each tag of this name, and whether it is empty.
+fn each_tag<'a>(
+    text: &'a str,
+    name: &str,
+    mut on_tag: impl FnMut(&mut Xml<'a>, BytesStart<'a>, bool) -> Result<(), String>,
+) -> Result<(), String> {
     let mut xml = Reader::from_str(text);
-    let mut targets = BTreeMap::new();
     loop {
         match next(&mut xml)? {
-            Event::Start(tag) | Event::Empty(tag) if tag.local_name().as_ref() == "Relationship" => {
-                let id = attribute(&tag, |name| name == "Id")?;
-                let target = attribute(&tag, |name| name == "Target")?;
-                targets.extend(id.zip(target));
-            }
-            Event::Eof => return Ok(targets),
+            Event::Start(tag) if tag.local_name().as_ref() == name => on_tag(&mut xml, tag, false)?,
+            Event::Empty(tag) if tag.local_name().as_ref() == name => on_tag(&mut xml, tag, true)?,
+            Event::Eof => return Ok(()),
             _ => {}
         }
     }
+}
+
+/// Targets of the relationships, by id.
+fn relationships(text: &str) -> Result<BTreeMap<String, String>, String> {
+    let mut targets = BTreeMap::new();
+    each_tag(text, "Relationship", |_, tag, _| {
+        let id = attribute(&tag, |name| name == "Id")?;
+        targets.extend(id.zip(attribute(&tag, |name| name == "Target")?));
+        Ok(())
+    })?;
+    Ok(targets)
 }
 
 /// The relationships of the sheets, in order.
 fn sheet_relationships(text: &str) -> Result<Vec<String>, String> {
-    let mut xml = Reader::from_str(text);
     let mut sheets = Vec::new();
-    loop {
-        match next(&mut xml)? {
-            Event::Start(tag) | Event::Empty(tag) if tag.local_name().as_ref() == "sheet" => {
-                if sheets.len() == MAX_SHEETS {
-                    return Err(format!("more than {MAX_SHEETS} sheets"));
-                }
-                sheets.push(attribute(&tag, |name| name == "id")?.ok_or("a sheet without its part")?);
-            }
-            Event::Eof => return Ok(sheets),
-            _ => {}
+    each_tag(text, "sheet", |_, tag, _| {
+        if sheets.len() == MAX_SHEETS {
+            return Err(format!("more than {MAX_SHEETS} sheets"));
         }
-    }
+        sheets.push(attribute(&tag, |name| name == "id")?.ok_or("a sheet without its part")?);
+        Ok(())
+    })?;
+    Ok(sheets)
 }
 
 /// The shared strings. The counts that the table claims are ignored.
 fn shared_strings(text: &str) -> Result<Vec<String>, String> {
-    let mut xml = Reader::from_str(text);
     let mut strings = Vec::new();
-    loop {
-        match next(&mut xml)? {
-            Event::Start(tag) if tag.local_name().as_ref() == "si" => {
-                strings.push(rich_text(&mut xml, "si")?)
-            }
-            Event::Empty(tag) if tag.local_name().as_ref() == "si" => strings.push(String::new()),
-            Event::Eof => return Ok(strings),
-            _ => {}
-        }
-    }
+    each_tag(text, "si", |xml, _, is_empty| {
+        strings.push(if is_empty { String::new() } else { rich_text(xml, "si")? });
+        Ok(())
+    })?;
+    Ok(strings)
 }
 
 /// The runs of text up to the end of `element`, without phonetic text.

@@ -9,9 +9,10 @@ use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
+use super::checks::{broken, read_with};
 use super::claim::{check_deflated, read_all};
 use super::npy::Array;
-use super::{npy, npz16, read_with};
+use super::{npy, npz16};
 use crate::{FileError, FileKind, FileProblem, write_atomically};
 use srflow_core::{FlowField, excerpts};
 
@@ -70,11 +71,6 @@ fn check_end(bytes: &[u8]) -> Result<(), FileProblem> {
         return Err(FileProblem::field("end of archive", "a plain zip record", "a zip64 record"));
     }
     Ok(())
-}
-
-pub(super) fn broken(error: ZipError) -> FileProblem {
-    let expected = "a valid .npz file with one array or one named `flow`, or an .npz16 file";
-    FileProblem::field("archive", expected, error.to_string())
 }
 
 /// A `.npz` archive of named arrays, as NumPy's `savez` and `savez_compressed` write it. Arrays are decoded one by one when they

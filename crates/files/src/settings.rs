@@ -23,7 +23,7 @@ pub enum SettingsError {
         /// Names the line and the key, and what was expected.
         reason: String,
     },
-    #[error("--set {given}: {reason}")]
+    #[error("`set` {given}: {reason}")]
     Override { given: String, reason: String },
 }
 
@@ -160,7 +160,7 @@ mod tests {
             ("iner.rate=1", &["`iner`", "inner"]),
             ("seed.rate=1", &["no section `seed`"]),
             ("inner.rat=1", &["`rat`", "`limit`"]),
-            ("seed=many", &["--set seed=many", "a whole number from 0", "many"]),
+            ("seed=many", &["`set` seed=many", "a whole number from 0", "many"]),
             ("seed=-1", &["a whole number from 0"]),
             ("inner=5", &["expected keys with values"]),
             ("=5", &["unknown key"]),

@@ -139,9 +139,10 @@ fn no_file_imports_one_that_imports_it() {
     for (crate_name, folder) in WITHOUT_CIRCLES {
         let root = Path::new("../../crates").join(crate_name).join("src");
         let mut modules = BTreeMap::new();
-        read_modules(&root, &Module::new(), &mut modules);
-        let edges: BTreeMap<&Module, BTreeSet<Module>> =
-            modules.iter().map(|(module, imports)| (module, imported(&modules, module, imports))).collect();
+        read_modules(&root, &[], &mut modules);
+        let edge =
+            |(module, imports): (&Module, &Imports)| (module.clone(), imported(&modules, module, imports));
+        let edges: BTreeMap<Module, BTreeSet<Module>> = modules.iter().map(edge).collect();
         let is_inside =
             |module: &Module| folder.is_empty() || module.first().is_some_and(|name| name == folder);
         let circular: Vec<String> = modules
@@ -154,13 +155,13 @@ fn no_file_imports_one_that_imports_it() {
 }
 
 /// Adds the modules of a folder with the `use` lines of their files, without those of tests at the end.
-fn read_modules(folder: &Path, module: &Module, modules: &mut BTreeMap<Module, Imports>) {
+fn read_modules(folder: &Path, module: &[String], modules: &mut BTreeMap<Module, Imports>) {
     for entry in fs::read_dir(folder).expect("a folder of sources") {
         let path = entry.expect("an entry").path();
         let stem = path.file_stem().expect("a name").to_string_lossy().into_owned();
         let inner = match stem.as_str() {
-            "lib" | "mod" => module.clone(),
-            _ => [module.as_slice(), &[stem]].concat(),
+            "lib" | "mod" => module.to_vec(),
+            _ => [module, &[stem]].concat(),
         };
         if path.is_dir() {
             read_modules(&path, &inner, modules);
@@ -223,15 +224,24 @@ fn expand(before: &str, tree: &str, paths: &mut Vec<String>) {
 }
 
 /// The other modules that a module imports from, those behind names that are passed on.
-fn imported(modules: &BTreeMap<Module, Imports>, module: &Module, imports: &Imports) -> BTreeSet<Module> {
+fn imported(
+    modules: &BTreeMap<Module, Imports>,
+    module: &[String],
+    imports: &[(String, Vec<String>, bool)],
+) -> BTreeSet<Module> {
     let used = imports.iter().filter(|(_, _, is_passed_on)| !is_passed_on);
     let homes = used.filter_map(|(_, path, _)| home(modules, module, path, 0));
-    homes.filter(|home| home != module).collect()
+    homes.filter(|home| home.as_slice() != module).collect()
 }
 
 /// The module that defines what `path` names in `module`; `None` for other crates.
-fn home(modules: &BTreeMap<Module, Imports>, module: &Module, path: &[String], depth: u32) -> Option<Module> {
-    let mut at = module.clone();
+fn home(
+    modules: &BTreeMap<Module, Imports>,
+    module: &[String],
+    path: &[String],
+    depth: u32,
+) -> Option<Module> {
+    let mut at = module.to_vec();
     let mut rest = path;
     match path.first()?.as_str() {
         "crate" => (at, rest) = (Module::new(), &path[1..]),
@@ -262,7 +272,7 @@ fn home(modules: &BTreeMap<Module, Imports>, module: &Module, path: &[String], d
 }
 
 /// The modules that `module` imports, directly or through others.
-fn reachable(edges: &BTreeMap<&Module, BTreeSet<Module>>, module: &Module) -> BTreeSet<Module> {
+fn reachable(edges: &BTreeMap<Module, BTreeSet<Module>>, module: &[String]) -> BTreeSet<Module> {
     let mut reached = BTreeSet::new();
     let mut left = vec![module];
     while let Some(at) = left.pop() {

@@ -8,7 +8,6 @@ use srflow_files::{FileError, FileProblem, FlowFormat, IMAGE_EXTENSIONS};
 /// Extensions of frames, masks and occlusions.
 pub const IMAGES: &[&str] = &IMAGE_EXTENSIONS;
 
-/// Extensions of flow files.
 pub const FLOWS: &[&str] = &["flo", "flo5", "png", "png128", "pfm", "npy", "npz", "npz16"];
 
 /// Natural order: runs of digits compare by value, so that `frame10` comes after `frame9`.
@@ -44,7 +43,6 @@ fn without_zeros(digits: &[u8]) -> &[u8] {
     &digits[start..]
 }
 
-/// Extensions of masks.
 pub const MASKS: &[&str] = &["png", "jpg", "jpeg", "ppm", "pgm", "bmp", "npy"];
 
 /// The files of `dir` with one of the extensions `endings` (case-insensitive), in natural order. Hidden files are skipped.

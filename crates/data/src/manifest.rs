@@ -46,7 +46,6 @@ pub struct Manifest {
     pub layout_version: u32,
     /// Version of srflow that wrote the dataset; another version may write other bytes.
     pub srflow_version: String,
-    /// The arguments of the dataset.
     pub arguments: Arguments,
     /// The calibrated cameras. Sequences start and end with camera 9, which faces the subject.
     pub rig: Vec<RigCamera>,
@@ -152,7 +151,6 @@ pub struct SceneEntry {
 pub struct PairFiles {
     /// First frame, sRGB PNG.
     pub frame1: PathBuf,
-    /// Second frame.
     pub frame2: PathBuf,
     /// Flow from frame 1 to frame 2.
     pub flow: PathBuf,

@@ -15,14 +15,11 @@ use crate::settings::PackedFlow;
 use crate::source::Source;
 use crate::split::SceneSplit;
 
-/// Name of the card.
 pub(crate) const NAME: &str = "README.md";
-/// Name of the folder with its pictures.
 pub(crate) const PICTURES: &str = "images";
 
 /// Width of a frame in the pictures, in pixels.
 const WIDTH: usize = 320;
-/// How many pairs are shown.
 const SHOWN: u64 = 3;
 
 /// Path of the picture of a pair in the folder, with `/`.

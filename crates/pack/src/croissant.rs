@@ -8,7 +8,6 @@ use crate::index::INDEX_NAME;
 use crate::names::{about_field, field_of};
 use crate::packed::Packed;
 
-/// Name of the file.
 pub(crate) const NAME: &str = "croissant.json";
 
 /// The text of the file. `hashes` are the SHA-256 of the files by name.

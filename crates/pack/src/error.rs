@@ -9,11 +9,7 @@ use srflow_files::{FileError, FileProblem, LockError};
 pub enum ReadError {
     /// It does not have the expected content.
     #[error("{}: {reason}", .path.display())]
-    Content {
-        path: PathBuf,
-        /// What was expected, and what was found.
-        reason: String,
-    },
+    Content { path: PathBuf, reason: String },
     #[error(transparent)]
     File(#[from] FileError),
     #[error(transparent)]
@@ -28,11 +24,7 @@ pub enum PackError {
     Setting(#[from] SettingError),
     /// The folder has something else in it.
     #[error("{}: {found}; choose another folder, or give `force` to delete it", .dir.display())]
-    Occupied {
-        dir: PathBuf,
-        /// What was found.
-        found: String,
-    },
+    Occupied { dir: PathBuf, found: String },
     /// A flow cannot be packed as asked.
     #[error("{}: {problem}; choose another `flow`", .path.display())]
     Flow {
@@ -42,13 +34,7 @@ pub enum PackError {
     },
     /// Files of the dataset are missing.
     #[error("{}: {count} files of the dataset are missing:\n{listed}\nrun `{command}` again to complete it", .dir.display())]
-    Incomplete {
-        dir: PathBuf,
-        count: usize,
-        /// The first of them, one per line.
-        listed: String,
-        command: &'static str,
-    },
+    Incomplete { dir: PathBuf, count: usize, listed: String, command: &'static str },
     #[error(transparent)]
     Lock(#[from] LockError),
     #[error(transparent)]

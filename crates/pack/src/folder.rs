@@ -23,7 +23,6 @@ pub(crate) const ARGUMENTS_NAME: &str = "pack.json";
 pub(crate) const TARS_NAME: &str = "tars.jsonl";
 /// Folder of the parts of the index while tars are missing.
 pub(crate) const PARTS: &str = ".index";
-/// Version of the layout.
 const PACK_VERSION: u32 = 1;
 
 /// The tars of a dataset that is packed already; `None` while it is not.

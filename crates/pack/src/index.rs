@@ -22,7 +22,6 @@ pub const INDEX_NAME: &str = "index.jsonl";
 const LONGEST_LINE: usize = 1 << 16;
 /// Bytes that are read at once.
 const CHUNK: u64 = 4 << 20;
-/// Most pairs that are listed.
 const MOST_PAIRS: usize = 1 << 24;
 
 /// A line of the index.
@@ -35,7 +34,6 @@ pub(crate) struct IndexRecord {
     pub scene: String,
     /// Name of the pair within its scene.
     pub frame: String,
-    /// Name of the tar.
     pub tar: String,
     /// Where the header of its first member starts in the tar, in bytes.
     pub offset: u64,

@@ -65,7 +65,6 @@ pub(crate) fn plan(
 #[derive(Default)]
 struct Missing {
     count: usize,
-    /// The first of them, one per line.
     listed: String,
 }
 

@@ -39,7 +39,6 @@ pub type PairOf = Box<dyn Fn(usize, u64) -> Option<PairSource> + Sync>;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Scene {
     pub split: SceneSplit,
-    /// Number of pairs.
     pub pairs: u64,
 }
 

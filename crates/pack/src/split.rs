@@ -5,11 +5,8 @@ use srflow_core::named;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SceneSplit {
-    /// For training.
     Train,
-    /// For model selection.
     Val,
-    /// For the final score.
     Test,
 }
 

@@ -2,7 +2,6 @@
 
 /// Size of a header, and of what members are padded to, in bytes.
 pub const BLOCK: u64 = 512;
-/// The end of a tar.
 pub const END: [u8; 2 * BLOCK as usize] = [0; 2 * BLOCK as usize];
 /// Largest member of ustar in bytes: eleven octal digits.
 pub const LARGEST: u64 = (1 << 33) - 1;

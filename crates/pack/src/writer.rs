@@ -37,11 +37,9 @@ pub struct PackRequest<'a> {
     pub out: &'a Path,
     /// Whether to delete another packed dataset in the folder.
     pub force: bool,
-    /// Stop after this many pairs.
     pub stop_after: Option<u64>,
     /// Whether to stop. Asked between pairs.
     pub stop: &'a (dyn Fn() -> bool + Sync),
-    /// Called on progress.
     pub on_event: &'a dyn Fn(PackEvent),
 }
 
@@ -59,15 +57,12 @@ pub enum PackEvent {
 /// What [`pack`] has done.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PackReport {
-    /// Pairs of the dataset.
     pub pairs: u64,
     /// Pairs that this run has packed.
     pub packed: u64,
-    /// Number of tars.
     pub tars: u64,
     /// Size of all whole tars in bytes.
     pub bytes: u64,
-    /// Whether it was stopped before the end.
     pub stopped: bool,
     /// Largest difference between a component of the packed flow and of the dataset's, in pixels, over whole tars.
     pub flow_error: f32,

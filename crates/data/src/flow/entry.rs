@@ -8,9 +8,7 @@ pub struct Entry {
     pub scene: String,
     /// Name of the pair within its scene: usually the stem of frame 1's file, e.g. `frame_0001`.
     pub frame: String,
-    /// File of frame 1.
     pub frame1: EntryFile,
-    /// File of frame 2.
     pub frame2: EntryFile,
     /// File of the true flow from frame 1 to frame 2, if published.
     pub flow: Option<EntryFile>,

@@ -12,70 +12,26 @@ use crate::micro_expression::MicroExpressionError;
 pub enum DatasetError {
     /// The text after `--dataset` is not `KIND:DIR`.
     #[error("`{found}`: expected KIND:DIR, e.g. sintel-clean:/data/Sintel. Kinds: {known}")]
-    NotKindAndFolder {
-        found: String,
-        /// The known kinds.
-        known: String,
-    },
+    NotKindAndFolder { found: String, known: String },
     /// Unknown kind of dataset, or an option that it does not have.
     #[error("dataset kind `{kind}`: {reason}")]
-    UnknownKind {
-        kind: String,
-        /// What is wrong, and the known names.
-        reason: String,
-    },
+    UnknownKind { kind: String, reason: String },
     /// The dataset has no such split.
     #[error("{kind} has no {split} split; it has: {available}")]
-    NoSplit {
-        /// Kind of dataset.
-        kind: String,
-        /// The requested split.
-        split: Split,
-        /// The available splits.
-        available: String,
-    },
+    NoSplit { kind: String, split: Split, available: String },
     /// A folder or file required by the layout is missing, or no file matches a pattern.
     #[error("{kind}: looked for {looked_for}, {found}{hint}")]
-    NotThere {
-        /// Kind of dataset.
-        kind: String,
-        /// The path or pattern.
-        looked_for: String,
-        /// What was found instead.
-        found: String,
-        /// Advice, or empty.
-        hint: String,
-    },
+    NotThere { kind: String, looked_for: String, found: String, hint: String },
     /// The dataset is incomplete: files without their counterparts.
     #[error("{kind} in {}: {count} {}:\n{listed}", .dir.display(), if *.count == 1 { "problem" } else { "problems" })]
-    Incomplete {
-        /// Kind of dataset.
-        kind: String,
-        dir: PathBuf,
-        /// How many files.
-        count: usize,
-        /// The first of them, one per line.
-        listed: String,
-    },
+    Incomplete { kind: String, dir: PathBuf, count: usize, listed: String },
     /// A text file does not have the expected format.
     #[error("{}: {reason}", .path.display())]
-    Format {
-        path: PathBuf,
-        /// What was expected, and what was found.
-        reason: String,
-    },
+    Format { path: PathBuf, reason: String },
     /// A file of a pair has another size than frame 1.
     #[error("{}: expected {}x{} (WIDTHxHEIGHT) to go with {}, found {}x{}", .path.display(), .expected.0, .expected.1,
         .frame.display(), .found.0, .found.1)]
-    SizeMismatch {
-        path: PathBuf,
-        /// Its width and height.
-        found: (usize, usize),
-        /// The file of frame 1.
-        frame: PathBuf,
-        /// Expected width and height.
-        expected: (usize, usize),
-    },
+    SizeMismatch { path: PathBuf, found: (usize, usize), frame: PathBuf, expected: (usize, usize) },
     /// A picture or flow could not be read.
     #[error(transparent)]
     File(#[from] FileError),

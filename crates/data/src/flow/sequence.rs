@@ -35,7 +35,6 @@ impl Direction {
 
 /// The numbered files of one sequence.
 pub struct Sequence<'a> {
-    /// The sequence's name.
     pub scene: String,
     pub frames: Numbered,
     /// The flow files by the number of the frame they start from; `None` when no truth is published.

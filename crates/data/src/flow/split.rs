@@ -5,9 +5,7 @@ use srflow_core::named;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Split {
-    /// For training.
     Train,
-    /// For model selection.
     Val,
     /// For the final score. Some benchmarks publish its frames without ground truth.
     Test,

@@ -6,7 +6,6 @@ use super::error::DatasetError;
 use super::reader::{Kind, Reader};
 use super::{chairs, clips, facialflownet, hd1k, kitti, plain, sintel, spring, srflow, things, wds};
 
-/// The kinds of dataset.
 pub static KINDS: [Kind; 11] = [
     srflow::KIND,
     plain::KIND,

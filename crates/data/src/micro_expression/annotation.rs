@@ -28,7 +28,6 @@ pub struct Annotation {
 pub struct Dropped {
     pub subject: String,
     pub clip: String,
-    /// The dataset's label.
     pub label: String,
     pub reason: DropReason,
 }
@@ -37,15 +36,10 @@ pub struct Dropped {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DropReason {
-    /// It belongs to none of the classes.
     Label,
-    /// Its apex is not a frame number.
     ApexUnknown,
-    /// Its apex is not after the onset.
     ApexNotAfterOnset,
-    /// SMIC: not one of the 157 clips of the published apex list.
     NotInApexList,
-    /// Its onset or apex frame is not on disk.
     FramesMissing,
 }
 

@@ -34,9 +34,7 @@ pub const CLASS_SETS: [(&str, &str, &str); 6] = [
     ("objective-7", "all seven objective classes", include_str!("classes/objective-7.toml")),
 ];
 
-/// Minimum and maximum number of classes.
 const COUNT: std::ops::RangeInclusive<usize> = 2..=10;
-/// Longest name of a class, in characters.
 const MAX_NAME: usize = 40;
 
 /// A set of classes, in the order of their numbers.

@@ -9,7 +9,6 @@ use super::Annotation;
 pub struct Clip {
     pub dataset: String,
     pub annotation: Annotation,
-    /// Folder of the frames.
     pub folder: PathBuf,
     /// The existing frames from onset to offset, by number.
     pub frames: BTreeMap<u64, PathBuf>,

@@ -16,7 +16,6 @@ pub struct Coding {
     pub frames: [&'static str; 3],
     /// Number of digits in a subject's name: spreadsheets drop leading zeros.
     pub subject_digits: usize,
-    /// All emotions in lower case.
     pub emotions: &'static [&'static str],
     /// Name of the emotions in messages.
     pub emotions_called: &'static str,

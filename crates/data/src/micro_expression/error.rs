@@ -8,44 +8,22 @@ use super::MissingFrames;
 #[derive(Debug, thiserror::Error)]
 pub enum MicroExpressionError {
     #[error("`{found}`: expected KIND:DIR, e.g. samm:/data/SAMM. Kinds: {known}")]
-    NotKindAndFolder {
-        found: String,
-        /// The known kinds.
-        known: String,
-    },
+    NotKindAndFolder { found: String, known: String },
     /// No annotation file was found.
     #[error("{kind}: looked for {expected} in {}; {found}", .dir.display())]
-    NoAnnotations {
-        kind: &'static str,
-        dir: PathBuf,
-        /// Description of the file.
-        expected: &'static str,
-        /// What was found instead, and advice.
-        found: String,
-    },
+    NoAnnotations { kind: &'static str, dir: PathBuf, expected: &'static str, found: String },
     /// A spreadsheet or table cannot be read.
     #[error("{}: {reason}", .path.display())]
-    Table {
-        path: PathBuf,
-        /// What was expected, and what was found.
-        reason: String,
-    },
+    Table { path: PathBuf, reason: String },
     /// A table has other columns than this dataset's.
     #[error("{}: expected {kind}'s columns ({expected}); {found}", .path.display())]
-    Columns {
-        path: PathBuf,
-        kind: &'static str,
-        expected: String,
-        /// What was found instead, and advice.
-        found: String,
-    },
+    Columns { path: PathBuf, kind: &'static str, expected: String, found: String },
     /// A row has an unexpected value.
     #[error("{}, row {row}: {reason}", .path.display())]
     Row {
         path: PathBuf,
         /// Row number in the file, from 1.
         row: usize,
-        /// What was expected, and what was found.
         reason: String,
     },
     /// Two rows name the same clip.
@@ -55,22 +33,10 @@ pub enum MicroExpressionError {
     #[error(
         "{dataset}: no clip belongs to one of the classes {classes}; its clips are labelled {found}. Give other `classes`"
     )]
-    NoClass {
-        dataset: String,
-        /// The classes' names.
-        classes: String,
-        /// The labels found.
-        found: String,
-    },
+    NoClass { dataset: String, classes: String, found: String },
     /// No clip's folder was found.
     #[error("{kind}: looked for {looked_for}; {found}")]
-    NoFolders {
-        kind: &'static str,
-        /// The first clip's folder.
-        looked_for: String,
-        /// What was found instead, and advice.
-        found: String,
-    },
+    NoFolders { kind: &'static str, looked_for: String, found: String },
     /// Frames are missing, which was not allowed.
     #[error(
         "{dataset}: {frames} frames of {clips} clips are missing below {}:\n{listed}\ncopy them there, or continue without them with `allow_missing`{key_frames}",
@@ -78,13 +44,9 @@ pub enum MicroExpressionError {
     )]
     Missing {
         dataset: String,
-        /// The folder of the subjects' folders.
         root: PathBuf,
-        /// Number of missing frames.
         frames: u64,
-        /// Number of clips with missing frames.
         clips: usize,
-        /// The first clips, one per line.
         listed: String,
         /// Advice for clips that consist of key frames alone.
         key_frames: &'static str,

@@ -48,7 +48,6 @@ pub struct Labels {
     pub file: Option<PathBuf>,
     /// The clips that belong to a class, in file order.
     pub annotations: Vec<Annotation>,
-    /// The dropped rows.
     pub dropped: Vec<Dropped>,
 }
 

@@ -23,10 +23,8 @@ pub(super) const KIND: ClipKind = ClipKind {
     folders,
 };
 
-/// Name of the CSV file.
 pub const PLAIN_NAME: &str = "clips.csv";
 
-/// Required columns.
 pub const PLAIN_COLUMNS: [&str; 6] = ["clip", "subject", "onset", "apex", "offset", "class"];
 
 impl ClipSource {

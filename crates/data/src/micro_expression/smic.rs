@@ -28,7 +28,6 @@ pub(super) const KIND: ClipKind = ClipKind {
     folders,
 };
 
-/// Published names of the list of apex frames.
 const APEX_LISTS: [&str; 2] = ["smic_apex.csv", "data_apex.csv"];
 
 /// The clips of MEGC 2019's list that CapsuleNet, and with it the paper, leave out.

@@ -15,9 +15,7 @@ pub struct ClipKind {
     pub about: &'static str,
     /// The paper's counts of negative, positive and surprise clips (its table of the micro-expression datasets).
     pub published: Option<[usize; 3]>,
-    /// Reads its annotations.
     pub(super) labels: fn(&ClipSource) -> Result<Labels, MicroExpressionError>,
-    /// Finds the folders of the annotated clips.
     pub(super) folders: fn(&ClipSource, &[Annotation]) -> Result<ClipFolders, MicroExpressionError>,
 }
 

@@ -6,7 +6,6 @@ use std::str::FromStr;
 use super::source::{ClipKind, ClipSource};
 use super::{MicroExpressionError, casme2, plain, samm, smic};
 
-/// The kinds of micro-expression dataset.
 pub static CLIP_KINDS: [ClipKind; 4] = [samm::KIND, casme2::KIND, smic::KIND, plain::KIND];
 
 impl FromStr for ClipSource {

@@ -164,9 +164,7 @@ fn damaged(error: ZipError) -> FileProblem {
 /// An array of a `.npz` archive: its shape, empty for a scalar, and its values, row-major.
 #[derive(Debug, Clone)]
 pub enum NpzArray<'a> {
-    /// `float32`.
     Float(&'a [usize], &'a [f32]),
-    /// `int64`.
     Integer(&'a [usize], &'a [i64]),
     /// Unicode, as wide as the longest text (`<U`), which NumPy reads without pickle.
     Text(&'a [usize], &'a [&'a str]),

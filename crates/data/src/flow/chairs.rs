@@ -10,7 +10,7 @@ use srflow_files::{FileKind, read_text};
 use super::gaps::Gaps;
 use super::layout;
 use super::triplets::triplets;
-use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
+use super::{DatasetError, Entry, Kind, Request, Split, Truth};
 
 const SPLIT_FILE: &str = "FlyingChairs_train_val.txt";
 
@@ -20,42 +20,28 @@ pub(super) const KIND: Kind = Kind {
     about: "FlyingChairs",
     default_split: Split::Val,
     truth: Truth::USUAL,
-    reader: |_| Box::new(FlyingChairs),
+    pairs,
 };
 
-pub struct FlyingChairs;
-
-impl Reader for FlyingChairs {
-    fn name(&self) -> String {
-        "chairs".to_owned()
+fn pairs(request: &Request, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+    let Request { dir, split, .. } = *request;
+    let wanted = match split {
+        Split::All => None,
+        Split::Train => Some(1),
+        Split::Val => Some(2),
+        Split::Test => return Err(request.no_split("train, val, all")),
+    };
+    let data = request.require("data")?;
+    let pairs = triplets(&data, gaps)?;
+    if pairs.is_empty() && gaps.is_empty() {
+        return Err(layout::nothing_fits("chairs", &data, "*_img1.ppm", ""));
     }
-
-    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
-        let wanted = match split {
-            Split::All => None,
-            Split::Train => Some(1),
-            Split::Val => Some(2),
-            Split::Test => {
-                let available = "train, val, all".to_owned();
-                return Err(DatasetError::NoSplit { kind: self.name(), split, available });
-            }
-        };
-        let data = layout::require("chairs", dir, "data")?;
-        let pairs = triplets(&data, gaps)?;
-        if pairs.is_empty() && gaps.is_empty() {
-            return Err(layout::nothing_fits("chairs", &data, "*_img1.ppm", ""));
-        }
-        for pair in pairs.iter().filter(|pair| pair.flow.is_none()) {
-            gaps.push(format!(
-                "{} has no flow data/{}_flow.flo",
-                gaps.shown(&pair.frame1.path()),
-                pair.frame
-            ));
-        }
-        match wanted {
-            Some(part) if gaps.is_empty() => chosen(dir, pairs, part),
-            _ => Ok(pairs),
-        }
+    for pair in pairs.iter().filter(|pair| pair.flow.is_none()) {
+        gaps.push(format!("{} has no flow data/{}_flow.flo", gaps.shown(&pair.frame1.path()), pair.frame));
+    }
+    match wanted {
+        Some(part) if gaps.is_empty() => chosen(dir, pairs, part),
+        _ => Ok(pairs),
     }
 }
 

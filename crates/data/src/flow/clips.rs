@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use super::gaps::Gaps;
-use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
+use super::{DatasetError, Entry, Kind, Request, Split, Truth};
 use crate::listing;
 use crate::micro_expression::{Clip, ClipDataset, ClipSource};
 
@@ -15,24 +15,17 @@ pub(super) const KIND: Kind = Kind {
     about: "clips of srflow mer synth, from onset to apex",
     default_split: Split::All,
     truth: Truth::USUAL,
-    reader: |_| Box::new(Clips),
+    pairs,
 };
 
-pub struct Clips;
-
-impl Reader for Clips {
-    fn name(&self) -> String {
-        KIND.name.to_owned()
+fn pairs(request: &Request, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+    let Request { dir, split, .. } = *request;
+    if split != Split::All {
+        return Err(request.no_split("all"));
     }
-
-    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
-        if split != Split::All {
-            return Err(DatasetError::NoSplit { kind: self.name(), split, available: "all".to_owned() });
-        }
-        let source = ClipSource::plain(dir);
-        let found = ClipDataset::open(&source, false).map_err(Box::new)?;
-        Ok(found.clips.iter().filter_map(|clip| pair(clip, gaps)).collect())
-    }
+    let source = ClipSource::plain(dir);
+    let found = ClipDataset::open(&source, false).map_err(Box::new)?;
+    Ok(found.clips.iter().filter_map(|clip| pair(clip, gaps)).collect())
 }
 
 fn pair(clip: &Clip, gaps: &mut Gaps) -> Option<Entry> {

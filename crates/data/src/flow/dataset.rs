@@ -3,10 +3,11 @@ use std::path::{Path, PathBuf};
 use super::entry::Entry;
 use super::error::DatasetError;
 use super::gaps::Gaps;
+use super::kind::Request;
 use super::layout;
 use super::sample::{Sample, Truth, TruthDensity};
 use super::split::Split;
-use super::table::{DatasetSpec, reader_of};
+use super::table::{DatasetSpec, kind_of};
 
 /// A dataset whose pairs are listed.
 #[derive(Debug, Clone)]
@@ -36,21 +37,21 @@ impl FlowDataset {
         split: Option<Split>,
         on_pairs: impl Fn(u64),
     ) -> Result<Self, DatasetError> {
-        let (kind, reader) = reader_of(&spec.kind)?;
-        let name = reader.name();
+        let (kind, options) = kind_of(&spec.kind)?;
         let split = split.unwrap_or(kind.default_split);
-        let mut gaps = Gaps::new(name.clone(), &spec.dir, Box::new(on_pairs));
-        let entries = reader.pairs(&spec.dir, split, &mut gaps)?;
+        let request = Request { title: kind.title(&options), options, dir: &spec.dir, split };
+        let mut gaps = Gaps::new(request.title.clone(), &spec.dir, Box::new(on_pairs));
+        let entries = (kind.pairs)(&request, &mut gaps)?;
         gaps.finish()?;
         if entries.is_empty() {
             return Err(layout::nothing_fits(
-                &name,
+                &request.title,
                 &spec.dir,
                 "",
                 &format!("The {split} split has no pair"),
             ));
         }
-        Ok(Self { name, dir: spec.dir.clone(), split, entries, truth: kind.truth })
+        Ok(Self { name: request.title, dir: spec.dir.clone(), split, entries, truth: kind.truth })
     }
 
     /// A dataset of one pair, whose files may be anywhere and are not opened yet.

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use super::gaps::Gaps;
 use super::layout::{self, Numbered};
 use super::sequence::{Direction, Sequence};
-use super::{DatasetError, Entry, Kind, Reader, Split, Truth, TruthDensity};
+use super::{DatasetError, Entry, Kind, Request, Split, Truth, TruthDensity};
 use crate::listing;
 
 /// First of the sequences that ptlflow uses for validation (data/Hd1k_val.txt).
@@ -20,50 +20,43 @@ pub(super) const KIND: Kind = Kind {
     about: "HD1K",
     default_split: Split::All,
     truth: Truth { max_flow: 512.0, density: TruthDensity::Sparse, ..Truth::USUAL },
-    reader: |_| Box::new(Hd1k),
+    pairs,
 };
 
-pub struct Hd1k;
-
-impl Reader for Hd1k {
-    fn name(&self) -> String {
-        "hd1k".to_owned()
-    }
-
-    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
-        let part = if split == Split::Test { "hd1k_challenge" } else { "hd1k_input" };
-        let mut frames = by_sequence(&layout::require("hd1k", dir, &format!("{part}/image_2"))?, gaps)?;
-        let mut flow_dir = PathBuf::new();
-        let mut flows = BTreeMap::new();
-        if split != Split::Test {
-            flow_dir = layout::require("hd1k", dir, "hd1k_flow_gt/flow_occ")?;
-            flows = by_sequence(&flow_dir, gaps)?;
-            for &sequence in flows.keys() {
-                frames.entry(sequence).or_default(); // so that flows without any frame are reported
-            }
+fn pairs(request: &Request, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+    let split = request.split;
+    let part = if split == Split::Test { "hd1k_challenge" } else { "hd1k_input" };
+    let mut frames = by_sequence(&request.require(&format!("{part}/image_2"))?, gaps)?;
+    let mut flow_dir = PathBuf::new();
+    let mut flows = BTreeMap::new();
+    if split != Split::Test {
+        flow_dir = request.require("hd1k_flow_gt/flow_occ")?;
+        flows = by_sequence(&flow_dir, gaps)?;
+        for &sequence in flows.keys() {
+            frames.entry(sequence).or_default(); // so that flows without any frame are reported
         }
-        let mut entries = Vec::new();
-        for (number, frames) in frames {
-            let chosen = match split {
-                Split::Train => number < FIRST_VALIDATION_SEQUENCE,
-                Split::Val => number >= FIRST_VALIDATION_SEQUENCE,
-                Split::Test | Split::All => true,
-            };
-            if !chosen {
-                continue;
-            }
-            let sequence = Sequence {
-                scene: format!("{number:06}"),
-                frames,
-                flows: (split != Split::Test).then(|| flows.remove(&number).unwrap_or_default()),
-                occlusions: Numbered::new(),
-                flow_dir: &flow_dir,
-                flow_past_the_end: true,
-            };
-            entries.extend(sequence.pairs(Direction::Forward, gaps));
-        }
-        Ok(entries)
     }
+    let mut entries = Vec::new();
+    for (number, frames) in frames {
+        let chosen = match split {
+            Split::Train => number < FIRST_VALIDATION_SEQUENCE,
+            Split::Val => number >= FIRST_VALIDATION_SEQUENCE,
+            Split::Test | Split::All => true,
+        };
+        if !chosen {
+            continue;
+        }
+        let sequence = Sequence {
+            scene: format!("{number:06}"),
+            frames,
+            flows: (split != Split::Test).then(|| flows.remove(&number).unwrap_or_default()),
+            occlusions: Numbered::new(),
+            flow_dir: &flow_dir,
+            flow_past_the_end: true,
+        };
+        entries.extend(sequence.pairs(Direction::Forward, gaps));
+    }
+    Ok(entries)
 }
 
 /// The files `SSSSSS_FFFF.png` of a folder by sequence and frame.

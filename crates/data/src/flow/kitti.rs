@@ -7,7 +7,7 @@ use std::path::Path;
 
 use super::gaps::Gaps;
 use super::layout;
-use super::{DatasetError, Entry, Kind, Occlusion, Reader, Split, Truth, TruthDensity};
+use super::{DatasetError, Entry, Kind, Occlusion, Request, Split, Truth, TruthDensity};
 use crate::listing;
 
 pub(super) const KIND: Kind = Kind {
@@ -16,43 +16,30 @@ pub(super) const KIND: Kind = Kind {
     about: "KITTI flow of either year",
     default_split: Split::All,
     truth: Truth { max_flow: 512.0, density: TruthDensity::Sparse, ..Truth::USUAL },
-    reader: |chosen| Box::new(Kitti { year: chosen[0] }),
+    pairs,
 };
 
-pub struct Kitti {
-    /// `2012` or `2015`.
-    pub year: &'static str,
-}
-
-impl Reader for Kitti {
-    fn name(&self) -> String {
-        format!("kitti-{}", self.year)
+fn pairs(request: &Request, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+    let Request { dir, split, .. } = *request;
+    let part = match split {
+        Split::Train | Split::All => "training",
+        Split::Test => "testing",
+        Split::Val => return Err(request.no_split("train (all), test (frames only)")),
+    };
+    let image_folder = if request.options[0] == "2012" { "colored_0" } else { "image_2" };
+    let frame_dir = request.require(&format!("{part}/{image_folder}"))?;
+    if split != Split::Test {
+        request.require("training/flow_occ")?;
     }
-
-    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
-        let part = match split {
-            Split::Train | Split::All => "training",
-            Split::Test => "testing",
-            Split::Val => {
-                let available = "train (all), test (frames only)".to_owned();
-                return Err(DatasetError::NoSplit { kind: self.name(), split, available });
-            }
-        };
-        let image_folder = if self.year == "2012" { "colored_0" } else { "image_2" };
-        let frame_dir = layout::require(&self.name(), dir, &format!("{part}/{image_folder}"))?;
-        if split != Split::Test {
-            layout::require(&self.name(), dir, "training/flow_occ")?;
-        }
-        let root = dir.join(part);
-        let entries = scenes(&frame_dir, gaps)?
-            .iter()
-            .filter_map(|scene| entry_of(&root, &frame_dir, scene, split != Split::Test, gaps))
-            .collect();
-        if split != Split::Test {
-            flows_without_frames(&root, &frame_dir, gaps)?;
-        }
-        Ok(entries)
+    let root = dir.join(part);
+    let entries = scenes(&frame_dir, gaps)?
+        .iter()
+        .filter_map(|scene| entry_of(&root, &frame_dir, scene, split != Split::Test, gaps))
+        .collect();
+    if split != Split::Test {
+        flows_without_frames(&root, &frame_dir, gaps)?;
     }
+    Ok(entries)
 }
 
 /// The numbers `SSSSSS` for which `SSSSSS_10.png` or `SSSSSS_11.png` exists. The 20 other frames of KITTI's multi-view

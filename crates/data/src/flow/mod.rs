@@ -13,11 +13,11 @@ mod facialflownet;
 mod file;
 mod gaps;
 mod hd1k;
+mod kind;
 mod kitti;
 mod layout;
 mod made;
 mod plain;
-mod reader;
 mod sample;
 mod sequence;
 mod sintel;
@@ -33,13 +33,13 @@ pub use dataset::FlowDataset;
 pub use entry::{Entry, Occlusion};
 pub use error::DatasetError;
 pub use file::EntryFile;
+pub use kind::Kind;
 pub use made::{MadeError, MadePairs, SCENES_AT_ONCE};
-pub use reader::Kind;
 pub use sample::{Sample, TruthDensity};
 pub use split::Split;
 pub use table::{DatasetSpec, KINDS};
 
-use reader::Reader;
+use kind::Request;
 use sample::Truth;
 
 pub use crate::listing::{flow_files, pictures};

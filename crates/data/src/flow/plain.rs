@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use super::gaps::Gaps;
 use super::layout;
 use super::triplets::triplets;
-use super::{DatasetError, Entry, Kind, Occlusion, Reader, Split, Truth};
+use super::{DatasetError, Entry, Kind, Occlusion, Request, Split, Truth};
 use crate::listing;
 
 pub(super) const KIND: Kind = Kind {
@@ -23,30 +23,23 @@ pub(super) const KIND: Kind = Kind {
     about: "a plain folder of image pairs",
     default_split: Split::All,
     truth: Truth::USUAL,
-    reader: |_| Box::new(Plain),
+    pairs,
 };
 
-pub struct Plain;
-
-impl Reader for Plain {
-    fn name(&self) -> String {
-        "folder".to_owned()
+fn pairs(request: &Request, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+    let Request { dir, split, .. } = *request;
+    let dir = match split {
+        Split::All => dir.to_owned(),
+        _ => request.require(&split.to_string())?,
+    };
+    if dir.join("frames").is_dir() {
+        return scenes(&dir, gaps);
     }
-
-    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
-        let dir = match split {
-            Split::All => dir.to_owned(),
-            _ => layout::require("folder", dir, &split.to_string())?,
-        };
-        if dir.join("frames").is_dir() {
-            return scenes(&dir, gaps);
-        }
-        let pairs = if dir.is_dir() { triplets(&dir, gaps)? } else { Vec::new() };
-        if pairs.is_empty() && gaps.is_empty() {
-            return Err(layout::nothing_fits("folder", &dir, "*_img1.* or frames/", &hint(&dir)));
-        }
-        Ok(pairs)
+    let pairs = if dir.is_dir() { triplets(&dir, gaps)? } else { Vec::new() };
+    if pairs.is_empty() && gaps.is_empty() {
+        return Err(layout::nothing_fits("folder", &dir, "*_img1.* or frames/", &hint(&dir)));
     }
+    Ok(pairs)
 }
 
 /// Advice for a folder that contains no pairs.

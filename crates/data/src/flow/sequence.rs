@@ -23,14 +23,6 @@ impl Direction {
     pub fn of(chosen: &str) -> Self {
         if chosen == "backward" { Self::Backward } else { Self::Forward }
     }
-
-    /// Suffix of the kind's name.
-    pub fn suffix(self) -> &'static str {
-        match self {
-            Self::Forward => "",
-            Self::Backward => "-backward",
-        }
-    }
 }
 
 /// The numbered files of one sequence.

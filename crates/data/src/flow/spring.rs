@@ -3,12 +3,10 @@
 //! truth. The top left flow sample of each 2x2 block is used, which puts the truth on the image's grid.
 //! Layout: ptlflow 0.4.2, data/datasets.py, `SpringDataset` (with `subsample`).
 
-use std::path::Path;
-
 use super::gaps::Gaps;
 use super::layout;
 use super::sequence::{Direction, Sequence};
-use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
+use super::{DatasetError, Entry, Kind, Request, Split, Truth};
 use crate::listing;
 
 pub(super) const KIND: Kind = Kind {
@@ -17,56 +15,41 @@ pub(super) const KIND: Kind = Kind {
     about: "Spring",
     default_split: Split::All,
     truth: Truth { samples_per_pixel: 2, ..Truth::USUAL },
-    reader: |chosen| Box::new(Spring { direction: Direction::of(chosen[0]), camera: chosen[1] }),
+    pairs,
 };
 
-pub struct Spring {
-    /// Camera: `left` or `right`.
-    pub camera: &'static str,
-    /// `FW` or `BW`.
-    pub direction: Direction,
-}
-
-impl Reader for Spring {
-    fn name(&self) -> String {
-        let right = if self.camera == "right" { "-right" } else { "" };
-        format!("spring{}{right}", self.direction.suffix())
-    }
-
-    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
-        let part = match split {
-            Split::Train | Split::All => "train",
-            Split::Test => "test",
-            Split::Val => {
-                let available = "train (all), test (frames only)".to_owned();
-                return Err(DatasetError::NoSplit { kind: self.name(), split, available });
-            }
-        };
-        let direction = match self.direction {
-            Direction::Forward => "FW",
-            Direction::Backward => "BW",
-        };
-        let mut entries = Vec::new();
-        for folder in listing::folders(&layout::require(&self.name(), dir, part)?)? {
-            let frame_dir = folder.join(format!("frame_{}", self.camera));
-            if !frame_dir.is_dir() {
-                gaps.push(format!("no folder {}", gaps.shown(&frame_dir)));
-                continue;
-            }
-            let flow_dir = folder.join(format!("flow_{direction}_{}", self.camera));
-            let sequence = Sequence {
-                scene: listing::name(&folder),
-                frames: layout::numbered(&frame_dir, &["png"], gaps)?,
-                flows: match split {
-                    Split::Test => None,
-                    _ => Some(layout::numbered_if_there(&flow_dir, &["flo5"], gaps)?),
-                },
-                occlusions: layout::Numbered::new(),
-                flow_dir: &flow_dir,
-                flow_past_the_end: false,
-            };
-            entries.extend(sequence.pairs(self.direction, gaps));
+fn pairs(request: &Request, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+    let split = request.split;
+    let part = match split {
+        Split::Train | Split::All => "train",
+        Split::Test => "test",
+        Split::Val => return Err(request.no_split("train (all), test (frames only)")),
+    };
+    let (direction, camera) = (Direction::of(request.options[0]), request.options[1]);
+    let letters = match direction {
+        Direction::Forward => "FW",
+        Direction::Backward => "BW",
+    };
+    let mut entries = Vec::new();
+    for folder in listing::folders(&request.require(part)?)? {
+        let frame_dir = folder.join(format!("frame_{camera}"));
+        if !frame_dir.is_dir() {
+            gaps.push(format!("no folder {}", gaps.shown(&frame_dir)));
+            continue;
         }
-        Ok(entries)
+        let flow_dir = folder.join(format!("flow_{letters}_{camera}"));
+        let sequence = Sequence {
+            scene: listing::name(&folder),
+            frames: layout::numbered(&frame_dir, &["png"], gaps)?,
+            flows: match split {
+                Split::Test => None,
+                _ => Some(layout::numbered_if_there(&flow_dir, &["flo5"], gaps)?),
+            },
+            occlusions: layout::Numbered::new(),
+            flow_dir: &flow_dir,
+            flow_past_the_end: false,
+        };
+        entries.extend(sequence.pairs(direction, gaps));
     }
+    Ok(entries)
 }

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::error::DatasetError;
-use super::reader::{Kind, Reader};
+use super::kind::Kind;
 use super::{chairs, clips, facialflownet, hd1k, kitti, plain, sintel, spring, srflow, things, wds};
 
 pub static KINDS: [Kind; 11] = [
@@ -49,13 +49,13 @@ impl FromStr for DatasetSpec {
         if kind.is_empty() || dir.is_empty() {
             return Err(wrong());
         }
-        reader_of(kind)?;
+        kind_of(kind)?;
         Ok(Self { kind: kind.to_owned(), dir: Path::new(dir).to_owned() })
     }
 }
 
-/// A kind with its reader, by its name with options.
-pub(super) fn reader_of(text: &str) -> Result<(&'static Kind, Box<dyn Reader>), DatasetError> {
+/// A kind by its name with options, and one option from every list.
+pub(super) fn kind_of(text: &str) -> Result<(&'static Kind, Vec<&'static str>), DatasetError> {
     let unknown = |reason| DatasetError::UnknownKind { kind: text.to_owned(), reason };
     let mut words = text.split('-');
     let name = words.next().unwrap_or_default();
@@ -73,7 +73,7 @@ pub(super) fn reader_of(text: &str) -> Result<(&'static Kind, Box<dyn Reader>), 
     };
     let chosen: Vec<&'static str> = kind.options.iter().map(&mut choose).collect();
     match left.first() {
-        None => Ok((kind, (kind.reader)(&chosen))),
+        None => Ok((kind, chosen)),
         Some(word) if kind.options.is_empty() => {
             Err(unknown(format!("`{word}` is not an option here; {name} takes none")))
         }

@@ -13,7 +13,7 @@ use srflow_pack::{INDEX_NAME, Listing, Member, Place, SampleMembers, expand, rea
 use super::gaps::Gaps;
 use super::layout;
 use super::sequence::Direction;
-use super::{DatasetError, Entry, EntryFile, Kind, Occlusion, Reader, Split, Truth};
+use super::{DatasetError, Entry, EntryFile, Kind, Occlusion, Request, Split, Truth};
 use crate::listing;
 use crate::manifest::SceneSplit;
 
@@ -23,7 +23,7 @@ pub(super) const KIND: Kind = Kind {
     about: "WebDataset tars of `srflow pack`: a folder, an http(s) address, or tars such as DIR/train-{000000..000009}.tar",
     default_split: Split::Test,
     truth: Truth::USUAL,
-    reader: |chosen| Box::new(Wds { direction: Direction::of(chosen[0]) }),
+    pairs,
 };
 
 /// The fields that a pair is made of; others are left out of the listing.
@@ -31,53 +31,39 @@ const FIELDS: [&str; 7] = ["depth", "flow", "frame1", "frame2", "mask", "occlusi
 /// Those of a pair from the second frame to the first: a sample has masks and depth of its first frame alone.
 const BACKWARD_FIELDS: [&str; 3] = ["flow_backward", "frame1", "frame2"];
 
-pub struct Wds {
-    /// Backward: `flow_backward`, from the second frame to the first.
-    direction: Direction,
-}
-
-impl Wds {
-    fn fields(&self) -> &'static [&'static str] {
-        match self.direction {
-            Direction::Forward => &FIELDS,
-            Direction::Backward => &BACKWARD_FIELDS,
-        }
-    }
-}
-
-impl Reader for Wds {
-    fn name(&self) -> String {
-        format!("{}{}", KIND.name, self.direction.suffix())
-    }
-
-    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
-        let mut pairs = Pairs { split, direction: self.direction, counts: [0; 4], entries: Vec::new() };
-        let place = Place::of(dir);
-        match tars(dir, &place)? {
-            None => read_index(&place, self.fields(), &mut |pair, about| {
-                // A list that grows is in memory twice.
-                if pairs.entries.is_empty() {
-                    _ = pairs.entries.try_reserve_exact(about);
-                }
-                pairs.add(pair, gaps);
-            })?,
-            Some(tars) => {
-                for tar in tars {
-                    let split = split_of(&tar);
-                    let mut broken = None;
-                    let path = tar.path();
-                    scan(tar, &mut |members| match named(members, split) {
-                        Ok(pair) => pairs.add(pair, gaps),
-                        Err(reason) => broken = broken.take().or(Some(reason)),
-                    })?;
-                    if let Some(reason) = broken {
-                        return Err(DatasetError::Format { path, reason });
-                    }
+fn pairs(request: &Request, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+    let Request { dir, split, .. } = *request;
+    let direction = Direction::of(request.options[0]);
+    let fields: &[&str] = match direction {
+        Direction::Forward => &FIELDS,
+        Direction::Backward => &BACKWARD_FIELDS,
+    };
+    let mut pairs = Pairs { split, direction, counts: [0; 4], entries: Vec::new() };
+    let place = Place::of(dir);
+    match tars(dir, &place)? {
+        None => read_index(&place, fields, &mut |pair, about| {
+            // A list that grows is in memory twice.
+            if pairs.entries.is_empty() {
+                _ = pairs.entries.try_reserve_exact(about);
+            }
+            pairs.add(pair, gaps);
+        })?,
+        Some(tars) => {
+            for tar in tars {
+                let split = split_of(&tar);
+                let mut broken = None;
+                let path = tar.path();
+                scan(tar, &mut |members| match named(members, split) {
+                    Ok(pair) => pairs.add(pair, gaps),
+                    Err(reason) => broken = broken.take().or(Some(reason)),
+                })?;
+                if let Some(reason) = broken {
+                    return Err(DatasetError::Format { path, reason });
                 }
             }
         }
-        pairs.finish(self.name(), dir, gaps)
     }
+    pairs.finish(request, gaps)
 }
 
 /// The tars whose headers must be read; `None` when there is an index.
@@ -186,22 +172,22 @@ impl Pairs {
         });
     }
 
-    fn finish(self, kind: String, dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+    fn finish(self, request: &Request, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
         if self.counts == [0; 4] {
             let reason = "expected pairs with members such as NAME.frame1.png, NAME.frame2.png and NAME.flow.npy, found none";
-            return Err(DatasetError::Format { path: dir.to_owned(), reason: reason.to_owned() });
+            return Err(DatasetError::Format { path: request.dir.to_owned(), reason: reason.to_owned() });
         }
         if self.entries.is_empty() && gaps.is_empty() {
             let names = ["train", "val", "test", "all, without a split"];
             let some = names.iter().zip(self.counts).filter(|(_, count)| *count > 0);
             let available: Vec<String> =
                 some.map(|(name, count)| format!("{name} ({count} pairs)")).collect();
-            return Err(DatasetError::NoSplit { kind, split: self.split, available: available.join(", ") });
+            return Err(request.no_split(&available.join(", ")));
         }
         let with_flow = self.entries.iter().any(|entry| entry.flow.is_some());
         if self.direction == Direction::Backward && !with_flow {
             let reason = "expected pairs with flow_backward, found none; `srflow pack` writes it for datasets of `srflow render --backward`";
-            return Err(DatasetError::Format { path: dir.to_owned(), reason: reason.to_owned() });
+            return Err(DatasetError::Format { path: request.dir.to_owned(), reason: reason.to_owned() });
         }
         fn name(entry: &Entry) -> (&str, &str) {
             (&entry.scene, &entry.frame)

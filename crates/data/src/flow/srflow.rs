@@ -28,12 +28,8 @@ fn pairs(request: &Request, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>
         let reason = "this dataset has no backward flow; `srflow render --backward` writes one".to_owned();
         return Err(DatasetError::Format { path: dir.join(MANIFEST_NAME), reason });
     }
-    let chosen = |scene: &&SceneEntry| match split {
-        Split::Train => scene.split == SceneSplit::Train,
-        Split::Val => scene.split == SceneSplit::Val,
-        Split::Test => scene.split == SceneSplit::Test,
-        Split::All => true,
-    };
+    let wanted = split.of_scenes();
+    let chosen = |scene: &&SceneEntry| wanted.is_none_or(|split| scene.split == split);
     if !manifest.scenes.iter().any(|scene| chosen(&scene)) {
         return Err(request.no_split(&splits_of(&manifest)));
     }

@@ -132,12 +132,7 @@ impl Pairs {
     fn add(&mut self, pair: Listing, gaps: &mut Gaps) {
         let Listing { split, scene, frame, members } = pair;
         let number = split.map_or(3, |split| split as usize);
-        let chosen = match self.split {
-            Split::Train => Some(SceneSplit::Train),
-            Split::Val => Some(SceneSplit::Val),
-            Split::Test => Some(SceneSplit::Test),
-            Split::All => None,
-        };
+        let chosen = self.split.of_scenes();
         // Other samples may lie beside pairs in tars that others made.
         if !members.fields().any(|field| FIELDS.contains(&field)) {
             return;

@@ -1,7 +1,8 @@
 use serde::{Deserialize, Serialize};
 
-use super::AugmentError;
 use srflow_read::flow::TruthDensity;
+
+use super::error::AugmentError;
 
 /// Random changes to a training sample.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -2,7 +2,8 @@
 
 use burn::tensor::Device;
 
-use super::{Config, ConfigError};
+use super::error::ConfigError;
+use super::{Config, DataConfig, MadeKind, RenderedConfig};
 use crate::loss::LossError;
 
 /// More than any network needs; larger values are typing mistakes that would exhaust memory.
@@ -74,6 +75,49 @@ impl Config {
         let mut network = self.network.architecture.init(&Device::flex());
         for (name, value) in &self.network.settings {
             network.set(name, *value)?;
+        }
+        Ok(())
+    }
+}
+
+impl DataConfig {
+    /// Checks the settings of the made data in `train`, except for those that only its maker knows.
+    fn check_made(&self, pairs_of_clip: usize) -> Result<(), ConfigError> {
+        let wrong = |key: &'static str, found: String, expected: String| {
+            Err(ConfigError::Value { key, found, expected })
+        };
+        let kinds = || self.train.iter().filter_map(|source| Some(source.made()?.kind));
+        let crop = self.crop;
+        for kind in kinds() {
+            let (key, size) = match kind {
+                MadeKind::Shapes => ("data.shapes.size", self.shapes_size()),
+                MadeKind::Rendered => ("data.rendered.size", self.rendered_size()),
+            };
+            if size.width < crop.width || size.height < crop.height {
+                return wrong(key, size.to_string(), format!("at least the crop, {crop} (data.crop)"));
+            }
+        }
+        if kinds().any(|kind| kind == MadeKind::Shapes) && pairs_of_clip > 1 {
+            let expected = "2: the pairs of shapes: do not follow each other; rendered: makes clips";
+            return wrong("training.clip_frames", (pairs_of_clip + 1).to_string(), expected.to_owned());
+        }
+        if kinds().any(|kind| kind == MadeKind::Shapes) && !(1..=99_999).contains(&self.shapes.pairs) {
+            return wrong("data.shapes.pairs", self.shapes.pairs.to_string(), "1 to 99999".to_owned());
+        }
+        if kinds().any(|kind| kind == MadeKind::Rendered) {
+            let RenderedConfig { scenes, frames, .. } = self.rendered;
+            if !(1..=10_000).contains(&scenes) {
+                return wrong("data.rendered.scenes", scenes.to_string(), "1 to 10000".to_owned());
+            }
+            if !(pairs_of_clip..=1000).contains(&(frames as usize)) {
+                let expected = match pairs_of_clip {
+                    1 => "1 to 1000".to_owned(),
+                    pairs => {
+                        format!("{pairs} to 1000, as many pairs as a clip has or more (training.clip_frames)")
+                    }
+                };
+                return wrong("data.rendered.frames", frames.to_string(), expected);
+            }
         }
         Ok(())
     }

@@ -2,24 +2,10 @@
 
 use std::path::Path;
 
-use srflow_files::{Preset, SettingsError, parse_settings, read_settings, settings_text, with_setting};
-use srflow_nets::SettingError;
+use srflow_files::{Preset, parse_settings, read_settings, settings_text, with_setting};
 
 use super::Config;
-use crate::loss::LossError;
-
-/// Errors of reading or checking a configuration.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    #[error(transparent)]
-    Settings(#[from] SettingsError),
-    #[error("{key} = {found}: expected {expected}")]
-    Value { key: &'static str, found: String, expected: String },
-    #[error("network.settings: {0}")]
-    Setting(#[from] SettingError),
-    #[error(transparent)]
-    Loss(#[from] LossError),
-}
+use super::error::ConfigError;
 
 macro_rules! presets {
     ($($name:literal),*) => {

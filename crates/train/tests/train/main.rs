@@ -4,4 +4,5 @@ mod augment;
 mod gradients;
 mod losses;
 mod optimizer;
+mod pairs;
 mod ranks;

@@ -9,8 +9,6 @@ use srflow_read::manifest::ManifestError;
 use srflow_read::micro_expression::MicroExpressionError;
 use srflow_splat::RasterizeError;
 
-use crate::record::RecordError;
-
 /// Checks a `size` against the shortest and the longest side, in pixels.
 pub(crate) fn check_size(
     (width, height): (usize, usize),
@@ -25,6 +23,14 @@ pub(crate) fn check_size(
         found: format!("{width}x{height}"),
         expected: format!("{low}x{low} to {high}x{high} (WIDTHxHEIGHT)"),
     }))
+}
+
+/// A record could not be read.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {reason}; delete the file and run `srflow render` again to rewrite it", .path.display())]
+pub struct RecordError {
+    pub path: PathBuf,
+    pub reason: String,
 }
 
 /// Why a dataset could not be rendered or completed.

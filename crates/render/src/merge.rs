@@ -69,7 +69,7 @@ pub enum MergeError {
     /// A folder is not of a dataset that can be merged.
     #[error(
         "{}: expected a part of a dataset of `srflow render`, `srflow shapes` or `srflow mer synth`, found no dataset.json, \
-         shapes.json or synth.json; give the folders that these commands wrote with --shard",
+         shapes.json or synth.json; give the folders that these commands wrote with `shard`",
         .0.display()
     )]
     NotAPart(PathBuf),
@@ -87,7 +87,7 @@ pub enum MergeError {
     Differing(PathBuf, PathBuf),
     /// Units are missing.
     #[error(
-        "{missing} of {units} {kind} are in none of the {parts} parts, such as {}; run the commands of their parts again, or merge with --partial",
+        "{missing} of {units} {kind} are in none of the {parts} parts, such as {}; run the commands of their parts again, or set `partial`",
         .names.join(", ")
     )]
     Missing { missing: u64, units: u64, kind: &'static str, parts: usize, names: Vec<String> },

@@ -1,13 +1,13 @@
 //! The record of a pair of frames: one small JSON file each.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use srflow_files::{FileKind, read_text};
 
-use crate::RenderError;
+use crate::error::{RecordError, RenderError};
 use crate::statistics::FlowSummary;
 use srflow_read::manifest::CameraRecord;
 
@@ -60,14 +60,6 @@ pub(crate) fn read_record<T: DeserializeOwned>(path: &Path) -> Result<T, RenderE
         path: path.to_owned(),
         reason: srflow_files::parse_error_in_words(&error),
     })
-}
-
-/// A record could not be read.
-#[derive(Debug, thiserror::Error)]
-#[error("{}: {reason}; delete the file and run `srflow render` again to rewrite it", .path.display())]
-pub struct RecordError {
-    pub path: PathBuf,
-    pub reason: String,
 }
 
 impl PairRecord {

@@ -14,6 +14,9 @@ use crate::error::check_size;
 use crate::generate::Rig;
 use crate::head;
 
+/// Name of the file with the arguments of a capture.
+pub(super) const MANIFEST_NAME: &str = "capture.json";
+
 /// Numbers of the rig's cameras, in the order in which fewer than all are chosen: the front one first, then by how much they add
 /// to the views of those before.
 const CHOSEN: [u32; 16] = [8, 1, 15, 4, 11, 6, 10, 2, 14, 0, 13, 5, 12, 7, 9, 3];

@@ -8,11 +8,11 @@ use std::str::FromStr;
 
 use srflow_core::random::Key;
 use srflow_core::{Image, parse_color};
-use srflow_files::{IMAGE_EXTENSIONS, read_image};
+use srflow_files::read_image;
 use srflow_splat::Frame;
 
-use super::settings::list_files;
 use crate::RenderError;
+use crate::setting_files::images_in;
 
 /// The background of the subjects.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -69,27 +69,6 @@ pub(super) fn behind(
         (Background::Procedural, _) => Some(procedural::procedural(width, height, key)),
         (Background::Images(_), None) | (Background::Colour(_), _) => None,
     })
-}
-
-/// Names and sizes of the image files in a folder, by name. Errors name the `field` and what was `expected` of it.
-pub(crate) fn images_in(
-    dir: &Path,
-    field: &'static str,
-    expected: &'static str,
-) -> Result<Vec<(String, u64)>, RenderError> {
-    let mut files = list_files(dir, field, expected)?;
-    files.retain(|(name, _)| {
-        let ending = name.rsplit_once('.').map_or("", |(_, ending)| ending);
-        IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(ending))
-    });
-    if files.is_empty() {
-        return Err(RenderError::Setting(srflow_core::SettingError {
-            field,
-            found: dir.display().to_string(),
-            expected: format!("a folder with images ({})", IMAGE_EXTENSIONS.join(", ")),
-        }));
-    }
-    Ok(files)
 }
 
 /// The images of the setting `background`.

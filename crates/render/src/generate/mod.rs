@@ -28,7 +28,6 @@ use crate::statistics::{FlowSummary, Statistics};
 use srflow_read::manifest::{Manifest, STATISTICS_NAME};
 
 pub use background::Background;
-pub(crate) use background::images_in;
 pub use made::ScenePairs;
 pub use motion::MotionSource;
 pub use occlusion::DEPTH_TOLERANCE;
@@ -36,9 +35,8 @@ pub(crate) use path::Path as SmoothPath;
 pub use pictures::DEPTH_UNITS_PER_METRE;
 pub(crate) use pictures::write_alpha;
 pub use rig::{CANONICAL_CAMERA, FULL_SIZE, Rig, View};
-pub(crate) use scene::{Action, Views, record, unit_name};
+pub(crate) use scene::{Action, Views, record};
 pub use settings::{Settings, with_flat_recording};
-pub(crate) use settings::{fingerprint, list_files};
 #[cfg(feature = "clap")]
 pub(crate) use settings::{flow_format_help, head_help};
 

@@ -61,7 +61,7 @@ impl MotionSource {
                 return Err(RenderError::Setting(srflow_core::SettingError {
                     field: "motion",
                     found: "own".to_owned(),
-                    expected: "curves or a file for this head: only the avatars of --head avatar:DIR have a motion of their own"
+                    expected: "curves or a file for this head: only the avatars of `head` avatar:DIR have a motion of their own"
                         .to_owned(),
                 }));
             }

@@ -1,6 +1,6 @@
 //! The settings of a dataset, checked before any work starts, and the plan derived from them.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -14,6 +14,7 @@ use super::background::{self, Background};
 use super::{FULL_SIZE, MotionSource, Rig};
 use crate::clap::Args;
 use crate::error::check_size;
+use crate::setting_files::{files_at, fingerprint};
 use crate::{RenderError, head};
 use srflow_read::manifest::{
     Arguments, LAYOUT_VERSION, MANIFEST_NAME, Manifest, Recording, SceneEntry, SceneSplit,
@@ -293,7 +294,11 @@ impl Settings {
             settings["background"] = format!("images, {}", fingerprint(&background::images(dir)?)).into();
         }
         if let MotionSource::Recorded(path) = &self.motion {
-            settings["motion"] = format!("recorded, {}", fingerprint(&files_at(path, "motion")?)).into();
+            settings["motion"] = format!(
+                "recorded, {}",
+                fingerprint(&files_at(path, "motion", "a file or folder that can be read")?)
+            )
+            .into();
         }
         settings["device"] = self.device.kind().into();
         let off = [
@@ -337,52 +342,9 @@ pub fn with_flat_recording(mut settings: Value) -> Result<Value, String> {
     Ok(settings)
 }
 
-/// Names and sizes of the files in a folder, sorted by name.
-///
-/// # Errors
-/// When the folder cannot be read; the error names the `field` and what was `expected` of it.
-pub(crate) fn list_files(
-    dir: &Path,
-    field: &'static str,
-    expected: &'static str,
-) -> Result<Vec<(String, u64)>, RenderError> {
-    let failed = |error| RenderError::Folder { field, path: dir.to_owned(), error, expected };
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(dir).map_err(failed)? {
-        let entry = entry.map_err(failed)?;
-        let metadata = std::fs::metadata(entry.path()).map_err(failed)?;
-        if metadata.is_file() {
-            files.push((entry.file_name().to_string_lossy().into_owned(), metadata.len()));
-        }
-    }
-    files.sort();
-    Ok(files)
-}
-
-/// Name and size of a file, or of the files in a folder.
-fn files_at(path: &Path, field: &'static str) -> Result<Vec<(String, u64)>, RenderError> {
-    const EXPECTED: &str = "a file or folder that can be read";
-    let failed = |error| RenderError::Folder { field, path: path.to_owned(), error, expected: EXPECTED };
-    let metadata = std::fs::metadata(path).map_err(failed)?;
-    if metadata.is_dir() {
-        return list_files(path, field, EXPECTED);
-    }
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    Ok(vec![(name, metadata.len())])
-}
-
 /// The kind of what `dataset.json` records, and whether a fingerprint of its files follows.
 fn split_fingerprint(recorded: &str) -> (&str, bool) {
     recorded.split_once(", ").map_or((recorded, false), |(kind, _)| (kind, true))
-}
-
-/// A short hash of the names and sizes of files (FNV-1a), independent of their folder.
-pub(crate) fn fingerprint(files: &[(String, u64)]) -> String {
-    let text: String = files.iter().map(|(name, size)| format!("{name} {size}\n")).collect();
-    let hash = text
-        .bytes()
-        .fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3));
-    format!("{} files, fingerprint {hash:016x}", files.len())
 }
 
 /// The split of each scene: counts by largest remainder, scenes drawn at random.

@@ -1,7 +1,5 @@
 //! A rendered micro-expression dataset is complete, independent of the number of threads, and its flow is the motion.
 
-mod tree;
-
 use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
@@ -12,7 +10,8 @@ use srflow_read::micro_expression::{Classes, ClipDataset, count_classes};
 use srflow_render::RenderError;
 use srflow_render::job::{Event, Request};
 use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
-use tree::contents;
+
+use crate::tree::contents;
 
 /// Small and short: the heads take longer than the frames.
 fn settings() -> SynthSettings {

@@ -1,7 +1,5 @@
 //! A capture made by `srflow avatar capture` is what its files say: read back and rendered again it gives the same pictures.
 
-mod tree;
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,6 +10,8 @@ use srflow_avatar::{Avatar, PosedHead};
 use srflow_render::capture::{CaptureReport, CaptureSettings, TRUE_FOLDER, capture};
 use srflow_render::job::Request;
 use srflow_splat::{Frame, Gaussians, Options, Rasterizer};
+
+use crate::tree;
 
 fn settings() -> CaptureSettings {
     CaptureSettings {

@@ -1,8 +1,5 @@
 //! Region maps divide the mask of the head into its parts, and change nothing else of a dataset.
 
-mod tiny;
-mod tree;
-
 use std::path::{Path, PathBuf};
 
 use srflow_core::Shard;
@@ -13,6 +10,9 @@ use srflow_read::manifest::Manifest;
 use srflow_read::region_map::HeadPart;
 use srflow_render::generate::{Settings, generate};
 use srflow_render::job::Request;
+
+use crate::tiny;
+use crate::tree;
 
 fn settings(regions: bool) -> Settings {
     Settings { regions, ..tiny::settings() }

@@ -1,8 +1,5 @@
 //! Frames with imaging effects: of the same scenes with the same labels, the same bytes however they are rendered.
 
-mod tiny;
-mod tree;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -13,7 +10,9 @@ use srflow_read::manifest::{Manifest, Recording};
 use srflow_render::check::check;
 use srflow_render::generate::{Background, MotionSource, Settings, generate};
 use srflow_render::job::Request;
-use tree::contents;
+
+use crate::tiny;
+use crate::tree::contents;
 
 fn settings(recording: Recording) -> Settings {
     let Settings { background, motion, .. } = Settings::wild();

@@ -1,7 +1,5 @@
 //! A dataset of generic pairs is complete, read as FlyingChairs, and the same however it is made.
 
-mod tree;
-
 use std::fs;
 use std::path::Path;
 
@@ -12,7 +10,8 @@ use srflow_read::flow::{FlowDataset, Split};
 use srflow_render::RenderError;
 use srflow_render::job::Request;
 use srflow_render::shapes::{ShapesReport, ShapesSettings, shapes};
-use tree::contents;
+
+use crate::tree::contents;
 
 fn settings() -> ShapesSettings {
     ShapesSettings {

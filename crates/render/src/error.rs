@@ -14,15 +14,22 @@ pub(crate) fn check_size(
     (width, height): (usize, usize),
     sides: RangeInclusive<usize>,
 ) -> Result<(), RenderError> {
-    if sides.contains(&width) && sides.contains(&height) {
-        return Ok(());
+    let (low, high) = (sides.start(), sides.end());
+    let expected = format!("{low}x{low} to {high}x{high} (WIDTHxHEIGHT)");
+    require("size", format!("{width}x{height}"), expected, sides.contains(&width) && sides.contains(&height))
+}
+
+/// Checks that the value of a setting is `fine`.
+pub(crate) fn require(
+    field: &'static str,
+    found: impl ToString,
+    expected: impl Into<String>,
+    fine: bool,
+) -> Result<(), RenderError> {
+    match fine {
+        true => Ok(()),
+        false => Err(SettingError { field, found: found.to_string(), expected: expected.into() }.into()),
     }
-    let (low, high) = sides.into_inner();
-    Err(RenderError::Setting(SettingError {
-        field: "size",
-        found: format!("{width}x{height}"),
-        expected: format!("{low}x{low} to {high}x{high} (WIDTHxHEIGHT)"),
-    }))
 }
 
 /// A record could not be read.

@@ -3,10 +3,10 @@
 
 use std::path::Path;
 
-use srflow_core::SettingError;
 use srflow_files::IMAGE_EXTENSIONS;
 
 use crate::RenderError;
+use crate::error::require;
 
 /// Names and sizes of the files in a folder, sorted by name.
 fn list_files(
@@ -59,13 +59,8 @@ pub(crate) fn images_in(
         let ending = name.rsplit_once('.').map_or("", |(_, ending)| ending);
         IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(ending))
     });
-    if files.is_empty() {
-        return Err(RenderError::Setting(SettingError {
-            field,
-            found: dir.display().to_string(),
-            expected: format!("a folder with images ({})", IMAGE_EXTENSIONS.join(", ")),
-        }));
-    }
+    let expected = format!("a folder with images ({})", IMAGE_EXTENSIONS.join(", "));
+    require(field, dir.display(), expected, !files.is_empty())?;
     Ok(files)
 }
 

@@ -12,6 +12,7 @@ use srflow_files::read_image;
 use srflow_splat::Frame;
 
 use crate::RenderError;
+use crate::error::require;
 use crate::setting_files::images_in;
 
 /// The background of the subjects.
@@ -100,13 +101,8 @@ pub(super) fn chosen(images: &[(String, u64)], scene: u32, seed: u64) -> Option<
 /// Reads an image, and crops its centre and resizes it to `width` by `height`.
 fn load(path: &Path, width: usize, height: usize) -> Result<Image, RenderError> {
     let image = read_image(path)?;
-    if image.width() == 0 || image.height() == 0 {
-        return Err(RenderError::Setting(srflow_core::SettingError {
-            field: "background",
-            found: path.display().to_string(),
-            expected: "an image with at least one pixel".into(),
-        }));
-    }
+    let expected = "an image with at least one pixel";
+    require("background", path.display(), expected, !image.pixels().is_empty())?;
     Ok(fill(&image, width, height))
 }
 

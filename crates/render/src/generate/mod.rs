@@ -22,6 +22,7 @@ use srflow_avatar::{Avatar, Avatars};
 use srflow_files::write_file;
 
 use crate::RenderError;
+use crate::error::require;
 use crate::job::{self, Made, Request};
 use crate::record::{PairRecord, json_text};
 use crate::statistics::{FlowSummary, Statistics};
@@ -89,14 +90,8 @@ fn checked_plan(settings: &Settings, avatars: &Avatars) -> Result<Manifest, Rend
 fn check_length(settings: &Settings, manifest: &Manifest, avatar: &Avatar) -> Result<(), RenderError> {
     let Some(poses) = settings.motion.poses(avatar)? else { return Ok(()) };
     let longest = manifest.scenes.iter().map(|scene| scene.pairs).max().unwrap_or(0);
-    if longest as usize >= poses.len() {
-        return Err(RenderError::Setting(srflow_core::SettingError {
-            field: "frames",
-            found: settings.frames.to_string(),
-            expected: format!("less than the {} timesteps of the motion", poses.len()),
-        }));
-    }
-    Ok(())
+    let expected = format!("less than the {} timesteps of the motion", poses.len());
+    require("frames", settings.frames, expected, (longest as usize) < poses.len())
 }
 
 /// Writes the statistics of a complete dataset.

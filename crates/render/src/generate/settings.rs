@@ -6,14 +6,14 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use srflow_avatar::HeadSource;
 use srflow_core::random::Key;
-use srflow_core::{Numbers, SettingError, Size, excerpt};
+use srflow_core::{Numbers, Size, excerpt};
 use srflow_files::FlowFormat;
 use srflow_splat::Device;
 
 use super::background::{self, Background};
 use super::{FULL_SIZE, MotionSource, Rig};
 use crate::clap::Args;
-use crate::error::check_size;
+use crate::error::{check_size, require};
 use crate::setting_files::{files_at, fingerprint};
 use crate::{RenderError, head};
 use srflow_read::manifest::{
@@ -241,24 +241,15 @@ impl Settings {
     }
 
     fn validate(&self) -> Result<(), RenderError> {
-        let wrong = |field, found: String, expected: String| {
-            Err(RenderError::Setting(SettingError { field, found, expected }))
-        };
-        if !(1..=MAX_SCENES).contains(&self.scenes) {
-            return wrong("scenes", self.scenes.to_string(), format!("1 to {MAX_SCENES}"));
-        }
-        if !(1.0..=MAX_PAIRS).contains(&self.frames) {
-            return wrong("frames", self.frames.to_string(), format!("1 to {MAX_PAIRS}"));
-        }
+        let scenes = (1..=MAX_SCENES).contains(&self.scenes);
+        require("scenes", self.scenes, format!("1 to {MAX_SCENES}"), scenes)?;
+        let frames = (1.0..=MAX_PAIRS).contains(&self.frames);
+        require("frames", self.frames, format!("1 to {MAX_PAIRS}"), frames)?;
         check_size((self.size.width, self.size.height), SIDES)?;
         let sum: f64 = self.splits.iter().sum();
-        if self.splits.iter().any(|share| !(0.0..=1.0).contains(share)) || (sum - 1.0).abs() > 1e-6 {
-            return wrong(
-                "splits",
-                self.splits.to_string(),
-                format!("three shares from 0 to 1 that sum to 1, not {sum:.6}"),
-            );
-        }
+        let fine = self.splits.iter().all(|share| (0.0..=1.0).contains(share)) && (sum - 1.0).abs() <= 1e-6;
+        let expected = format!("three shares from 0 to 1 that sum to 1, not {sum:.6}");
+        require("splits", self.splits, expected, fine)?;
         let Recording { noise, lighting, lamps, shutter, defocus, jpeg } = self.recording;
         for (field, value, most, unit) in [
             ("recording.noise", noise, 50.0, ""),
@@ -267,14 +258,10 @@ impl Settings {
             ("recording.shutter", shutter, 1.0, ""),
             ("recording.defocus", defocus, 64.0, " pixels"),
         ] {
-            if !(0.0..=most).contains(&value) {
-                return wrong(field, value.to_string(), format!("0 to {most}{unit}"));
-            }
+            require(field, value, format!("0 to {most}{unit}"), (0.0..=most).contains(&value))?;
         }
-        if let Some(quality) = jpeg
-            && !(1..=100).contains(&quality)
-        {
-            return wrong("recording.jpeg", quality.to_string(), "1 to 100".to_owned());
+        if let Some(quality) = jpeg {
+            require("recording.jpeg", quality, "1 to 100", (1..=100).contains(&quality))?;
         }
         Ok(())
     }

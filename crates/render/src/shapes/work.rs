@@ -16,6 +16,7 @@ use super::settings::MAX_PAIRS;
 use super::texture::Texture;
 use super::{ShapePair, ShapesSettings};
 use crate::RenderError;
+use crate::error::require;
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::record::{json_text, read_record};
 use crate::setting_files::{fingerprint, images_in};
@@ -249,13 +250,8 @@ impl Photographs {
         let number = stream.below(paths.len() as u32) as usize;
         if !self.0.contains_key(&number) {
             let image = reduced(read_image(&paths[number])?);
-            if image.pixels().is_empty() {
-                return Err(RenderError::Setting(srflow_core::SettingError {
-                    field: "textures",
-                    found: paths[number].display().to_string(),
-                    expected: "images with at least one pixel".into(),
-                }));
-            }
+            let expected = "images with at least one pixel";
+            require("textures", paths[number].display(), expected, !image.pixels().is_empty())?;
             if self.0.len() == KEPT {
                 self.0.pop_first();
             }

@@ -11,6 +11,7 @@ use srflow_render::capture::{CaptureReport, CaptureSettings, TRUE_FOLDER, captur
 use srflow_render::job::Request;
 use srflow_splat::{Frame, Gaussians, Options, Rasterizer};
 
+use crate::threads::on_threads;
 use crate::tree;
 
 fn settings() -> CaptureSettings {
@@ -24,8 +25,7 @@ fn settings() -> CaptureSettings {
 }
 
 fn make(dir: &Path, settings: &CaptureSettings, threads: usize, stop_after: Option<u64>) -> CaptureReport {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    pool.install(|| capture(settings, Request { stop_after, ..Request::new(dir) })).unwrap()
+    on_threads(threads, || capture(settings, Request { stop_after, ..Request::new(dir) })).unwrap()
 }
 
 /// Every file below a folder, by relative path.

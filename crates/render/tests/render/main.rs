@@ -9,5 +9,6 @@ mod recording;
 mod regions;
 mod shapes;
 mod synth;
+mod threads;
 mod tiny;
 mod tree;

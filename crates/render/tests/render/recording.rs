@@ -11,6 +11,7 @@ use srflow_render::check::check;
 use srflow_render::generate::{Background, MotionSource, Settings, generate};
 use srflow_render::job::Request;
 
+use crate::threads::on_threads;
 use crate::tiny;
 use crate::tree::contents;
 
@@ -20,8 +21,7 @@ fn settings(recording: Recording) -> Settings {
 }
 
 fn render(dir: &Path, settings: &Settings, threads: usize) {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    pool.install(|| generate(settings, Request::new(dir))).unwrap();
+    on_threads(threads, || generate(settings, Request::new(dir))).unwrap();
 }
 
 fn names(files: &[(PathBuf, Vec<u8>)]) -> Vec<&Path> {

@@ -11,6 +11,7 @@ use srflow_render::RenderError;
 use srflow_render::job::Request;
 use srflow_render::shapes::{ShapesReport, ShapesSettings, shapes};
 
+use crate::threads::on_threads;
 use crate::tree::contents;
 
 fn settings() -> ShapesSettings {
@@ -22,8 +23,7 @@ fn settings() -> ShapesSettings {
 }
 
 fn make(settings: &ShapesSettings, request: Request, threads: usize) -> Result<ShapesReport, RenderError> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    pool.install(|| shapes(settings, request))
+    on_threads(threads, || shapes(settings, request))
 }
 
 #[test]

@@ -11,6 +11,7 @@ use srflow_render::RenderError;
 use srflow_render::job::{Event, Request};
 use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
 
+use crate::threads::on_threads;
 use crate::tree::contents;
 
 /// Small and short: the heads take longer than the frames.
@@ -30,8 +31,7 @@ fn make(settings: &SynthSettings, dir: &Path, threads: usize) -> Result<u64, Ren
 }
 
 fn run(settings: &SynthSettings, request: Request, threads: usize) -> Result<SynthReport, RenderError> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    pool.install(|| synthesize(settings, request))
+    on_threads(threads, || synthesize(settings, request))
 }
 
 #[test]

@@ -381,7 +381,7 @@ impl Store {
     ) -> Result<Self, FileError> {
         create_folder(folder)?;
         let mut digest = Sha256::new();
-        digest.update(format!("srflow fold {VERSION}\n{}\n{protocol:?}\n", C::FACTS.name));
+        digest.update(format!("srflow fold {VERSION}\n{}\n{}\n", C::FACTS.name, protocol.identity()));
         digest.update(format!("{classes:?}\n"));
         for sample in samples {
             let Sample { dataset, subject, clip, class, features } = sample;

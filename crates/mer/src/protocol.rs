@@ -84,6 +84,15 @@ impl Protocol {
         range("decay of the learning rate", self.decay, 1.0, "a number above 0, up to 1")
     }
 
+    /// All values as a text that identifies stored folds. It must not change: folds of another text are trained again.
+    pub fn identity(&self) -> String {
+        let Self { epochs, record_every, batch, learning_rate, decay_every, decay, seed } = self;
+        format!(
+            "Protocol {{ epochs: {epochs}, record_every: {record_every}, batch: {batch}, learning_rate: {learning_rate:?}, \
+             decay_every: {decay_every}, decay: {decay:?}, seed: {seed} }}"
+        )
+    }
+
     /// Recorded epochs, in order.
     pub fn recorded(&self) -> Vec<usize> {
         let last = self.epochs.saturating_sub(1);

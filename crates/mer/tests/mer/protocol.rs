@@ -28,3 +28,12 @@ fn values_that_make_no_sense_are_named() {
     }
     assert!(Protocol { decay: 1.5, ..Protocol::default() }.check().is_err());
 }
+
+#[test]
+fn the_identity_in_the_names_of_stored_folds_does_not_change() {
+    let protocol = Protocol { learning_rate: 1e-5, decay: 1.0, ..Protocol::default() };
+    assert_eq!(
+        protocol.identity(),
+        "Protocol { epochs: 201, record_every: 20, batch: 64, learning_rate: 1e-5, decay_every: 60, decay: 1.0, seed: 0 }"
+    );
+}

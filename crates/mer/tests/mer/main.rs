@@ -6,6 +6,7 @@ mod extract;
 mod face;
 mod features;
 mod loso;
+mod made_up;
 mod metrics;
 mod opencv;
 mod parity;

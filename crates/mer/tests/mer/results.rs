@@ -1,30 +1,19 @@
 //! Tables of results.
 
 use srflow_mer::{
-    FoldRecord, Loso, Outcome, Prediction, confusion_latex, confusions_csv, fold_table, folds_csv,
-    score_tables, scores_csv, unseen_classes,
+    FoldRecord, Loso, Outcome, confusion_latex, confusions_csv, fold_table, folds_csv, score_tables,
+    scores_csv, unseen_classes,
 };
 
-const NEGATIVE: usize = 0;
-const POSITIVE: usize = 1;
-const SURPRISE: usize = 2;
+use crate::made_up::{NEGATIVE, POSITIVE, SURPRISE, prediction};
 
 fn outcome(method: &str, said: usize) -> Outcome {
-    let prediction = |subject: &str, clip: &str, truth, epoch, predicted| Prediction {
-        dataset: "made-up".into(),
-        subject: subject.into(),
-        clip: clip.into(),
-        truth,
-        epoch,
-        predicted,
-        scores: vec![0.0; 3],
-    };
     let mut predictions = Vec::new();
     for epoch in [0, 20] {
         let said = if epoch == 0 { NEGATIVE } else { said };
-        predictions.push(prediction("1", "a", NEGATIVE, epoch, said));
-        predictions.push(prediction("2", "b", POSITIVE, epoch, said));
-        predictions.push(prediction("2", "c", POSITIVE, epoch, said));
+        predictions.push(prediction("1", "a", epoch, [NEGATIVE, said]));
+        predictions.push(prediction("2", "b", epoch, [POSITIVE, said]));
+        predictions.push(prediction("2", "c", epoch, [POSITIVE, said]));
     }
     let fold = |subject: &str, clips| FoldRecord {
         dataset: "made-up".into(),

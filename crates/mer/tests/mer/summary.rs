@@ -2,24 +2,10 @@
 
 use srflow_mer::{Best, Confusion, Prediction, Summary, SummaryError};
 
-const NEGATIVE: usize = 0;
-const POSITIVE: usize = 1;
-const SURPRISE: usize = 2;
+use crate::made_up::{NEGATIVE, POSITIVE, SURPRISE, prediction};
 
 fn summary(predictions: &[Prediction]) -> Result<Summary, SummaryError> {
     Summary::of(&["negative", "positive", "surprise"].map(str::to_owned).into(), predictions)
-}
-
-fn prediction(subject: &str, clip: &str, epoch: usize, said: [usize; 2]) -> Prediction {
-    Prediction {
-        dataset: "made-up".into(),
-        subject: subject.into(),
-        clip: clip.into(),
-        truth: said[0],
-        epoch,
-        predicted: said[1],
-        scores: vec![0.0; 3],
-    }
 }
 
 /// Two subjects, one of them with a single clip; two epochs.

@@ -98,3 +98,32 @@ impl RunFolder {
 pub fn read_run_log<R: DeserializeOwned>(run: &Path) -> Result<Vec<R>, FileError> {
     read_json_lines(&run.join(LOG))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_has_its_folder_alone_and_continues_its_log() {
+        let parent = tempfile::tempdir().unwrap();
+        let path = parent.path().join("runs/1");
+        let run = RunFolder::open(&path).unwrap();
+        assert!(matches!(RunFolder::open(&path), Err(RunFolderError::Lock(LockError::Held { .. }))));
+        let mut log = run.log::<u32>(|_| true).unwrap();
+        (1..=3).for_each(|step| log.append(&step).unwrap());
+        drop((run, log));
+
+        std::fs::write(path.join(".log.jsonl.7-0.partial"), "half").unwrap();
+        let run = RunFolder::open(&path).unwrap();
+        assert!(!path.join(".log.jsonl.7-0.partial").exists());
+        run.log(|step: &u32| *step <= 2).unwrap();
+        assert_eq!(read_run_log::<u32>(&path).unwrap(), [1, 2]);
+    }
+
+    #[test]
+    fn another_run_is_named_with_its_steps() {
+        let error = |steps| RunFolderError::AnotherRun { folder: "runs/1".into(), steps }.to_string();
+        assert!(error(None).starts_with("runs/1: this folder already contains a run; continue it"));
+        assert!(error(Some(9)).contains("contains a run of 9 steps; continue it with `resume` runs/1"));
+    }
+}

@@ -28,7 +28,6 @@ pub enum ApexRule {
 named!(ApexRule, "a rule of spotting the apex", { Ratio => "ratio", Strain => "strain" });
 serialize_as_text!(ApexRule);
 
-/// A spotted apex.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpottedApex {
     /// Number of the frame.

@@ -35,7 +35,6 @@ pub struct Preparation {
     pub face: FaceCrop,
     /// Whether pictures or flow are resized.
     pub resize: ResizeOrder,
-    /// Formula of the strain.
     pub strain: StrainFormula,
 }
 

@@ -17,7 +17,6 @@ pub struct ExtractError {
 
 #[derive(Debug, thiserror::Error)]
 pub enum ExtractProblem {
-    /// It has no apex.
     #[error("it has no apex frame; spot it (`apex` ratio or strain) or give a list of apex frames")]
     NoApex,
     /// A required frame is missing.
@@ -43,7 +42,6 @@ pub enum ExtractProblem {
     /// The flow is not finite.
     #[error(transparent)]
     Features(#[from] FeatureError),
-    /// Onset and apex have different sizes, or are empty.
     #[error("{} is {}x{} and {} {}x{} (WIDTHxHEIGHT): expected frames of one size with at least one pixel", .onset.display(), .onset_size.0, .onset_size.1, .apex.display(), .apex_size.0, .apex_size.1)]
     Sizes {
         /// The onset's file.

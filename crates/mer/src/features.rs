@@ -14,7 +14,6 @@ pub enum Channel {
     U = 0,
     /// Flow downwards, in pixels of the feature map.
     V = 1,
-    /// Optical strain.
     Strain = 2,
 }
 
@@ -35,7 +34,6 @@ pub enum FeatureError {
     /// The number of values is wrong.
     #[error("{found} values, expected 3 x {FEATURE_SIDE} x {FEATURE_SIDE}")]
     Length { found: usize },
-    /// A value is not finite.
     #[error("feature map {channel:?} holds a value that is not finite at pixel ({x}, {y})")]
     NotFinite { channel: Channel, x: usize, y: usize },
 }

@@ -44,14 +44,12 @@ pub enum PredictionsError {
     /// The file could not be opened.
     #[error(transparent)]
     File(#[from] FileError),
-    /// It is not CSV, or a line has a missing or wrong value.
     #[error("{}: {}; expected a predictions.csv as `srflow mer run` writes it", .path.display(), excerpt(&.error.to_string()))]
     Csv {
         path: PathBuf,
         /// What is wrong, and in which line.
         error: csv::Error,
     },
-    /// Columns are missing.
     #[error(
         "{}: there is no column {}; expected a predictions.csv as `srflow mer run` writes it, with the columns {} and score_CLASS for each class",
         .path.display(), .missing.join(", "), COLUMNS.join(", ")
@@ -61,7 +59,6 @@ pub enum PredictionsError {
         /// The columns that are not there.
         missing: Vec<&'static str>,
     },
-    /// There are no predictions.
     #[error("{}: it holds no predictions; expected a predictions.csv as `srflow mer run` writes it", .path.display())]
     Empty { path: PathBuf },
     /// An unknown class, a prediction that is not the largest score, or not a number.

@@ -52,7 +52,6 @@ pub enum SummaryError {
     /// There are none.
     #[error("no predictions")]
     Empty,
-    /// A clip has no prediction, or several, at a recorded epoch.
     #[error(
         "{dataset} subject {subject} clip {clip} has {count} predictions at epoch {epoch}, expected 1: \
         the file is not whole"
@@ -65,7 +64,6 @@ pub enum SummaryError {
         epoch: usize,
         count: usize,
     },
-    /// A clip has different true classes.
     #[error(
         "{dataset} subject {subject} clip {clip} is {first} in one prediction and {second} in another: \
         a clip shows one class"

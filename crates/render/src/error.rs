@@ -49,30 +49,25 @@ pub enum RenderError {
     /// The file or folder of a setting cannot be read.
     #[error("`{field}` {}: {error}; expected {expected}", .path.display())]
     Folder {
-        /// Name of the setting.
         field: &'static str,
         path: PathBuf,
         #[source]
         error: io::Error,
         expected: &'static str,
     },
-    /// The folder has no dataset.
     #[error(
         "{}: expected a dataset of `srflow render`, `srflow shapes` or `srflow mer synth`, found no dataset.json, shapes.json or synth.json; \
          give the folder that one of these commands wrote",
         .0.display()
     )]
     NoDataset(PathBuf),
-    /// The output folder contains other files.
     #[error("{}: the folder is not empty and has no {manifest}; choose a new or empty folder", .path.display())]
     NotADataset { path: PathBuf, manifest: &'static str },
-    /// The output folder contains a dataset with other arguments.
     #[error(
         "{}: the folder has a dataset with {field} {found}, requested is {asked}; use the same arguments to continue it, another folder, or `force` to delete it and start over",
         .path.display()
     )]
     OtherDataset { path: PathBuf, field: String, found: String, asked: String },
-    /// A file of an earlier run cannot be parsed.
     #[error("{}: expected the file as srflow wrote it, found {reason}; restore it from a copy, or choose another folder", .path.display())]
     Malformed { path: PathBuf, reason: String },
     #[error(transparent)]
@@ -89,7 +84,6 @@ pub enum RenderError {
     /// A file outside the units could not be read or written.
     #[error(transparent)]
     File(#[from] FileError),
-    /// A file of a unit could not be written.
     #[error(
         "{error}; {written} of {total} {units} are complete: free some space if the disk is full, and run the same command again to continue"
     )]
@@ -100,7 +94,6 @@ pub enum RenderError {
         total: u64,
         units: &'static str,
     },
-    /// A folder of the dataset could not be created, listed or deleted.
     #[error("{}: {error}; a dataset needs a folder that can be created, read and written", .path.display())]
     Io {
         path: PathBuf,
@@ -112,7 +105,6 @@ pub enum RenderError {
     /// The table of clips could not be written.
     #[error(transparent)]
     Table(#[from] MicroExpressionError),
-    /// The true head of a capture is not known.
     #[error("{}: the true flow is not known: {reason}", .dir.display())]
     NoTruth { dir: PathBuf, reason: String },
     #[error("{frame}: {error}")]

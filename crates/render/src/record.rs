@@ -14,9 +14,7 @@ use srflow_read::manifest::CameraRecord;
 /// The contents of `pairs/SCENE/NNNNN.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairRecord {
-    /// The first frame.
     pub frame1: FrameRecord,
-    /// The second frame.
     pub frame2: FrameRecord,
     /// Forward flow on the head in frame 1.
     pub flow: FlowSummary,

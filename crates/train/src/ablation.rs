@@ -102,7 +102,6 @@ pub struct Cell {
 pub struct TestScores {
     /// Kind and split.
     pub dataset: String,
-    /// Folder of the dataset.
     pub folder: PathBuf,
     pub pairs: usize,
     /// Over all pixels with a known flow.
@@ -168,7 +167,6 @@ impl AblationSettings {
     }
 }
 
-/// Errors that end an ablation.
 #[derive(Debug, thiserror::Error)]
 pub enum AblationError {
     #[error("{run}: {error}")]

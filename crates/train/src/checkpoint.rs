@@ -26,7 +26,6 @@ const UNFINISHED: &str = ".step-";
 /// Prefixes of the tensors of AdamW's two averages.
 const AVERAGES: [&str; 2] = ["mean.", "square."];
 
-/// Progress of a run.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Progress {
@@ -53,7 +52,6 @@ pub struct Best {
     pub epe: f64,
 }
 
-/// The contents of a checkpoint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checkpoint {
     pub progress: Progress,
@@ -96,7 +94,6 @@ pub enum CheckpointError {
     None { folder: PathBuf },
 }
 
-/// The checkpoints of a run.
 pub struct Checkpoints {
     run: PathBuf,
     folder: PathBuf,

@@ -5,7 +5,6 @@ use srflow_read::flow::{DatasetError, MadeError};
 
 use crate::augment::AugmentError;
 
-/// Errors in the training data.
 #[derive(Debug, thiserror::Error)]
 pub enum DataError {
     #[error(

@@ -82,7 +82,6 @@ pub(crate) struct Ranks<'a> {
 pub(crate) struct Times {
     /// Waiting for the last rank to come to an exchange.
     pub waiting: Duration,
-    /// Summing gradients.
     pub summing: Duration,
 }
 

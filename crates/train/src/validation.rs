@@ -18,7 +18,6 @@ pub(crate) struct Validation {
     iterations: NonZeroUsize,
 }
 
-/// Errors of validation.
 #[derive(Debug, thiserror::Error)]
 pub enum ValidationError {
     #[error("validation: {0}")]

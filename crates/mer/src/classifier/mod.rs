@@ -20,7 +20,6 @@ use crate::features::{FEATURE_SIDE, Features};
 /// A network from features to one score per class. Its parameters carry the reference's names, so that
 /// [`srflow_nn::load`] reads published checkpoints.
 pub trait Classifier: Module {
-    /// Metadata.
     const FACTS: ClassifierFacts;
     /// Channels, height and width of its input.
     const INPUT: [usize; 3];
@@ -36,7 +35,6 @@ pub trait Classifier: Module {
     fn scores(&self, inputs: Tensor<4>, dropout: Option<&mut Stream>) -> Tensor<2>;
 }
 
-/// Metadata of a classifier.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ClassifierFacts {
     /// Name on the command line.

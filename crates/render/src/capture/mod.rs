@@ -46,7 +46,6 @@ pub struct CaptureReport {
     pub made: u64,
     pub cameras: usize,
     pub bytes: u64,
-    /// Duration in seconds.
     pub seconds: f64,
     pub stages: Vec<StageTime>,
     /// Whether it was stopped on request before all timesteps were rendered.

@@ -40,7 +40,6 @@ pub struct Made {
     pub made: u64,
     /// Bytes written by this run.
     pub bytes: u64,
-    /// Duration.
     pub seconds: f64,
     /// The workers' time by stage.
     pub stages: Vec<StageTime>,

@@ -56,7 +56,6 @@ impl Clip {
         })
     }
 
-    /// Number of frames.
     pub fn len(&self) -> usize {
         self.frames
     }

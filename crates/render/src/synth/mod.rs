@@ -51,7 +51,6 @@ pub struct SynthReport {
     pub classes: BTreeMap<&'static str, usize>,
     /// Mean length of the true flow from onset to apex on the head, in pixels, once the dataset is complete.
     pub mean_flow: Option<f64>,
-    /// Duration in seconds.
     pub seconds: f64,
     /// Whether it was stopped on request before all clips were rendered.
     pub stopped: bool,

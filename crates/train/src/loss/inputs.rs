@@ -52,7 +52,6 @@ impl LossInputs {
     }
 }
 
-/// Errors of computing a loss.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LossError {
     #[error("loss.{key} = {found}: expected {expected}")]

@@ -36,7 +36,6 @@ pub struct ImageWeights {
     pub pixels: usize,
 }
 
-/// Errors of [`regularizers_of_flow`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RegularizerError {
     #[error(transparent)]

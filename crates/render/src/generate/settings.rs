@@ -435,31 +435,33 @@ mod tests {
 
     #[test]
     fn errors_come_before_any_work() {
-        let error = |settings: Settings| plan(&settings).unwrap_err();
         let base = Settings::default;
-        assert!(error(Settings { scenes: 0, ..base() }).contains("scenes 0: expected 1 to 10000"));
-        assert!(error(Settings { frames: 0.0, ..base() }).contains("frames 0"));
-        assert!(error(Settings { frames: f64::NAN, ..base() }).contains("frames NaN"));
-        assert!(error(Settings { size: Size { width: 0, ..base().size }, ..base() }).contains("size 0x3208"));
-        assert!(
-            error(Settings { size: Size { height: 1 << 40, ..base().size }, ..base() })
-                .contains("to 16384x16384")
-        );
-        assert!(error(Settings { splits: Numbers([0.5, 0.1, 0.1]), ..base() }).contains("sum to 1, not 0.7"));
-        assert!(error(Settings { splits: Numbers([1.5, -0.5, 0.0]), ..base() }).contains("from 0 to 1"));
-        let images = Background::Images("/nowhere".into());
-        assert!(error(Settings { background: images, ..base() }).contains("background /nowhere"));
-        assert!(
-            error(Settings { head: "ict:/nowhere".parse().unwrap(), ..base() }).contains("head /nowhere")
-        );
-        let recorded = |recording| error(Settings { recording, ..base() });
-        assert!(recorded(Recording { noise: f32::NAN, ..Recording::none() }).contains("recording.noise NaN"));
-        assert!(
-            recorded(Recording { lighting: -1.0, ..Recording::none() }).contains("recording.lighting -1")
-        );
-        assert!(recorded(Recording { lamps: 2.0, ..Recording::none() }).contains("recording.lamps 2"));
-        assert!(recorded(Recording { shutter: 1.1, ..Recording::none() }).contains("recording.shutter 1.1"));
-        assert!(recorded(Recording { defocus: 65.0, ..Recording::none() }).contains("recording.defocus 65"));
-        assert!(recorded(Recording { jpeg: Some(0), ..Recording::none() }).contains("recording.jpeg 0"));
+        let size = |width, height| Settings { size: Size { width, height }, ..base() };
+        let splits = |shares| Settings { splits: Numbers(shares), ..base() };
+        let recorded = |recording| Settings { recording, ..base() };
+        let none = Recording::none;
+        for (settings, message) in [
+            (Settings { scenes: 0, ..base() }, "scenes 0: expected 1 to 10000"),
+            (Settings { frames: 0.0, ..base() }, "frames 0"),
+            (Settings { frames: f64::NAN, ..base() }, "frames NaN"),
+            (size(0, 3208), "size 0x3208"),
+            (size(2200, 1 << 40), "to 16384x16384"),
+            (splits([0.5, 0.1, 0.1]), "sum to 1, not 0.7"),
+            (splits([1.5, -0.5, 0.0]), "from 0 to 1"),
+            (
+                Settings { background: Background::Images("/nowhere".into()), ..base() },
+                "background` /nowhere",
+            ),
+            (Settings { head: "ict:/nowhere".parse().unwrap(), ..base() }, "head` /nowhere"),
+            (recorded(Recording { noise: f32::NAN, ..none() }), "recording.noise NaN"),
+            (recorded(Recording { lighting: -1.0, ..none() }), "recording.lighting -1"),
+            (recorded(Recording { lamps: 2.0, ..none() }), "recording.lamps 2"),
+            (recorded(Recording { shutter: 1.1, ..none() }), "recording.shutter 1.1"),
+            (recorded(Recording { defocus: 65.0, ..none() }), "recording.defocus 65"),
+            (recorded(Recording { jpeg: Some(0), ..none() }), "recording.jpeg 0"),
+        ] {
+            let error = plan(&settings).unwrap_err();
+            assert!(error.contains(message), "{error}");
+        }
     }
 }

@@ -60,7 +60,8 @@ impl MotionSource {
         let parameters = match self {
             Self::Own => {
                 let motion = avatar.own_motion().to_vec();
-                let expected = "curves or a file for this head: only the avatars of `head` avatar:DIR have a motion of their own";
+                let expected = "curves or a file for this head: only the avatars of `head` avatar:DIR have a motion of their \
+                                own";
                 require("motion", "own", expected, !motion.is_empty())?;
                 return Ok(Some(motion));
             }

@@ -7,7 +7,8 @@ use srflow_eval::report::{
     curves, facts, flow_scale, ramp_legend, score_table, shrink_image, side_by_side, strips, wheel_legend,
 };
 
-use crate::extract::{ExtractError, faces_of_clip};
+use crate::extract::faces_of_clip;
+use crate::extract_error::ExtractError;
 use crate::face::FaceCrop;
 use crate::features::{Channel, FEATURE_SIDE, Sample};
 use crate::predictions::{Prediction, Trial};

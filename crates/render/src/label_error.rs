@@ -126,7 +126,6 @@ pub struct PartError {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LabelError {
     pub pairs: u64,
-    /// The whole head.
     pub head: PartError,
     /// Its parts, whose pixels make up the head's.
     pub skin: PartError,

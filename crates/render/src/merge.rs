@@ -66,28 +66,24 @@ pub struct Merged {
 pub enum MergeError {
     #[error("expected the folders of at least one part, found none")]
     NoPart,
-    /// A folder is not of a dataset that can be merged.
     #[error(
         "{}: expected a part of a dataset of `srflow render`, `srflow shapes` or `srflow mer synth`, found no dataset.json, \
-         shapes.json or synth.json; give the folders that these commands wrote with --shard",
+         shapes.json or synth.json; give the folders that these commands wrote with `shard`",
         .0.display()
     )]
     NotAPart(PathBuf),
-    /// Two parts are of different datasets.
     #[error(
         "{}: {field} is {found}, in {} it is {expected}; parts of one dataset have the same arguments, seed and version of srflow",
         .part.display(), .first.display()
     )]
     OtherDataset { part: PathBuf, field: String, found: String, first: PathBuf, expected: String },
-    /// Parts have different files of one name.
     #[error(
         "{} and {} have different bytes; one of them is damaged or of another machine's program: `sha256sum` and `srflow check` tell more",
         .0.display(), .1.display()
     )]
     Differing(PathBuf, PathBuf),
-    /// Units are missing.
     #[error(
-        "{missing} of {units} {kind} are in none of the {parts} parts, such as {}; run the commands of their parts again, or merge with --partial",
+        "{missing} of {units} {kind} are in none of the {parts} parts, such as {}; run the commands of their parts again, or set `partial`",
         .names.join(", ")
     )]
     Missing { missing: u64, units: u64, kind: &'static str, parts: usize, names: Vec<String> },

@@ -77,7 +77,6 @@ fn bin_of_square(square: f32) -> usize {
 /// The contents of `statistics.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Statistics {
-    /// Number of scenes.
     pub scenes: usize,
     /// Mean number of frame pairs per scene, "Avg. Frames" in the paper's Table I.
     pub average_frames: f64,
@@ -99,13 +98,10 @@ pub struct Statistics {
     pub flow: FlowSummary,
 }
 
-/// Size of one split.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SplitStatistics {
     pub split: SceneSplit,
-    /// Number of scenes.
     pub scenes: usize,
-    /// Number of pairs.
     pub pairs: u64,
 }
 

@@ -12,7 +12,7 @@ use srflow_render::generate::{ScenePairs, Settings};
 use srflow_render::shapes::{ShapePairs, ShapesSettings};
 use srflow_train::config::{Config, MadeKind, MadeSpec, RenderedConfig, ShapesConfig};
 
-/// Opens `shapes:` and `rendered:`; see [`srflow_train::training_set::OpenMade`].
+/// Opens `shapes:` and `rendered:`; see [`srflow_train::OpenMade`].
 pub fn open_made(spec: &MadeSpec, config: &Config) -> Result<Box<dyn MadePairs>, MadeError> {
     Ok(match spec.kind {
         MadeKind::Shapes => {

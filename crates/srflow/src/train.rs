@@ -7,13 +7,13 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use srflow_core::Size;
-use srflow_files::{Preset, write_file};
+use srflow_files::{Preset, RunMode, read_run_log, write_file};
 use srflow_ops::device;
 use srflow_train::checkpoint::Best;
 use srflow_train::config::{Config, PRESETS};
 use srflow_train::ranks::{Alone, Communicator};
-use srflow_train::training_log::{Record, StepRecord, read_log};
-use srflow_train::{Event, Outcome, RunMode, Start, Training, config_of_run, report};
+use srflow_train::training_log::{Record, StepRecord};
+use srflow_train::{Event, Outcome, Start, Training, config_of_run, report};
 
 use crate::clap::Args;
 use crate::error::wrong_settings;
@@ -243,7 +243,7 @@ impl TrainJob {
         let mut steps = Steps::new(watch);
         let outcome = training.until(&stop, &mut |event| steps.report(&event))?;
         if !outcome.stopped && communicator.rank() == 0 {
-            let page = report(&config, &read_log(&out)?, &machine::describe()).html();
+            let page = report(&config, &read_run_log(&out)?, &machine::describe()).html();
             write_file(&out.join("report.html"), page)?;
         }
         Ok(TrainReport::Trained(Trained::new(out, &outcome)))

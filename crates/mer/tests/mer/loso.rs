@@ -12,9 +12,7 @@ use srflow_mer::{
     write_predictions,
 };
 
-const NEGATIVE: usize = 0;
-const POSITIVE: usize = 1;
-const SURPRISE: usize = 2;
+use crate::made_up::{NEGATIVE, POSITIVE, SURPRISE};
 
 /// Motion by class: down on the left, up on the right, up everywhere; and noise.
 fn sample(dataset: &str, subject: u32, clip: u32, class: usize) -> Sample {

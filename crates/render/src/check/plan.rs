@@ -8,7 +8,7 @@ use serde::Serialize;
 use srflow_avatar::HeadModel;
 use srflow_data::manifest::{MANIFEST_NAME, Manifest, RigCamera, SceneEntry, SceneSplit};
 
-use super::Problem;
+use super::problem::Problem;
 use crate::camera::{camera_from_record, record_from_camera};
 use crate::generate::{Action, Settings, Views, record};
 use crate::job::first_difference;

@@ -11,12 +11,14 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use srflow_avatar::capture::{Capture, CaptureSplit, HEAD_NAME, HeadRecord};
 use srflow_avatar::train::{
-    IterationsRecord, LogRecord, PRESETS, RunEvent, RunMode, RunOutcome, RunRecord, RunRequest, ScoresRecord,
-    SplitScore, StepReport, TrainConfig, Trainer, read_run, read_run_log, run,
+    IterationsRecord, LogRecord, PRESETS, RunEvent, RunOutcome, RunRecord, RunRequest, ScoresRecord,
+    SplitScore, StepReport, TrainConfig, Trainer, read_run, run,
 };
 use srflow_avatar::{HeadModel, HeadSource};
 use srflow_core::SettingError;
-use srflow_files::{Preset, SettingsError, read_settings, settings_text, with_setting, write_file};
+use srflow_files::{
+    Preset, RunMode, SettingsError, read_run_log, read_settings, settings_text, with_setting, write_file,
+};
 
 use super::scores::{split_table, split_words};
 use crate::clap::Args;

@@ -1,7 +1,5 @@
 //! A rendered micro-expression dataset is complete, independent of the number of threads, and its flow is the motion.
 
-mod tree;
-
 use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
@@ -12,7 +10,9 @@ use srflow_files::{read_flow, read_image, read_mask};
 use srflow_render::RenderError;
 use srflow_render::job::{Event, Request};
 use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
-use tree::contents;
+
+use crate::threads::on_threads;
+use crate::tree::contents;
 
 /// Small and short: the heads take longer than the frames.
 fn settings() -> SynthSettings {
@@ -31,8 +31,7 @@ fn make(settings: &SynthSettings, dir: &Path, threads: usize) -> Result<u64, Ren
 }
 
 fn run(settings: &SynthSettings, request: Request, threads: usize) -> Result<SynthReport, RenderError> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    pool.install(|| synthesize(settings, request))
+    on_threads(threads, || synthesize(settings, request))
 }
 
 #[test]

@@ -1,7 +1,5 @@
 //! A dataset of generic pairs is complete, read as FlyingChairs, and the same however it is made.
 
-mod tree;
-
 use std::fs;
 use std::path::Path;
 
@@ -12,7 +10,9 @@ use srflow_files::{read_flow, read_image, read_mask, write_image_png};
 use srflow_render::RenderError;
 use srflow_render::job::Request;
 use srflow_render::shapes::{ShapesReport, ShapesSettings, shapes};
-use tree::contents;
+
+use crate::threads::on_threads;
+use crate::tree::contents;
 
 fn settings() -> ShapesSettings {
     ShapesSettings {
@@ -23,8 +23,7 @@ fn settings() -> ShapesSettings {
 }
 
 fn make(settings: &ShapesSettings, request: Request, threads: usize) -> Result<ShapesReport, RenderError> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    pool.install(|| shapes(settings, request))
+    on_threads(threads, || shapes(settings, request))
 }
 
 #[test]

@@ -1,7 +1,6 @@
-//! A dataset that was rasterized on a GPU is that of the CPU within the tolerance that docs/reference/dataset-format.md states. `SRFLOW_TEST_DEVICE` names the
+//! A dataset rasterized on a GPU is that of the CPU within the tolerance that docs/reference/dataset-format.md states.
+//! `SRFLOW_TEST_DEVICE` names the
 //! GPU; see docs/guides/gpu.md.
-
-mod tiny;
 
 use srflow_data::manifest::Manifest;
 use srflow_files::{read_flow, read_image, read_mask};
@@ -9,6 +8,8 @@ use srflow_render::check::check_rerendered;
 use srflow_render::generate::{Settings, generate};
 use srflow_render::job::Request;
 use srflow_splat::Device;
+
+use crate::tiny;
 
 #[test]
 fn a_dataset_from_a_gpu_is_that_of_the_cpu_within_the_tolerance() {

@@ -1,7 +1,5 @@
 //! A rendered dataset passes its check, and every change to it is detected.
 
-mod tiny;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -11,6 +9,8 @@ use srflow_files::{read_flow, read_labels, write_flow, write_labels_png};
 use srflow_render::check::check;
 use srflow_render::generate::{Settings, generate};
 use srflow_render::job::Request;
+
+use crate::tiny;
 
 fn render(dir: &Path) {
     let settings = Settings { backward: true, depth: true, regions: true, ..tiny::settings() };

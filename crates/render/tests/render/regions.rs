@@ -1,8 +1,5 @@
 //! Region maps divide the mask of the head into its parts, and change nothing else of a dataset.
 
-mod tiny;
-mod tree;
-
 use std::path::{Path, PathBuf};
 
 use srflow_core::Shard;
@@ -13,6 +10,9 @@ use srflow_files::SHA256SUMS;
 use srflow_files::{read_labels, read_mask};
 use srflow_render::generate::{Settings, generate};
 use srflow_render::job::Request;
+
+use crate::tiny;
+use crate::tree;
 
 fn settings(regions: bool) -> Settings {
     Settings { regions, ..tiny::settings() }

@@ -1,8 +1,5 @@
 //! Frames with imaging effects: of the same scenes with the same labels, the same bytes however they are rendered.
 
-mod tiny;
-mod tree;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -13,7 +10,10 @@ use srflow_files::read_image;
 use srflow_render::check::check;
 use srflow_render::generate::{Background, MotionSource, Settings, generate};
 use srflow_render::job::Request;
-use tree::contents;
+
+use crate::threads::on_threads;
+use crate::tiny;
+use crate::tree::contents;
 
 fn settings(recording: Recording) -> Settings {
     let Settings { background, motion, .. } = Settings::wild();
@@ -21,8 +21,7 @@ fn settings(recording: Recording) -> Settings {
 }
 
 fn render(dir: &Path, settings: &Settings, threads: usize) {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    pool.install(|| generate(settings, Request::new(dir))).unwrap();
+    on_threads(threads, || generate(settings, Request::new(dir))).unwrap();
 }
 
 fn names(files: &[(PathBuf, Vec<u8>)]) -> Vec<&Path> {

@@ -1,16 +1,103 @@
-//! Workers: each takes runs of units and renders them, until none is left, one fails, or the limit is reached.
+//! What to render, and the workers that do: each takes runs of units and renders them, until none is left, one fails, or the
+//! limit is reached.
 
-use std::path::Path;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use srflow_core::Recent;
+use srflow_core::{Recent, Shard};
 use srflow_files::FileError;
 
-use super::folder::until_kept;
+use super::layout::Layout;
+use super::rewrite::until_kept;
 use super::timing::{Clock, Stage};
-use super::{Event, Layout as _, MAX_WORKERS, Plan, Request, Run};
 use crate::RenderError;
+
+/// Maximum number of units in progress at once, each with about 0.3 GB of buffers at 2200x3208. Further threads share the
+/// units' work.
+pub(super) const MAX_WORKERS: usize = 16;
+
+/// A dataset that is rendered unit by unit. Units are grouped by something costly: a scene, a subject's head.
+pub(crate) trait Plan: Sync + Sized {
+    type Layout: Layout;
+    type Group: Send + Sync;
+    /// The buffers of one worker.
+    type Worker;
+
+    /// Maximum number of units in a run.
+    const LONGEST_RUN: u32;
+
+    fn layout(&self) -> &Self::Layout;
+
+    /// The content of [`Layout::MANIFEST`].
+    fn manifest(&self) -> String;
+
+    /// The folders of a run's files.
+    fn folders(&self, dir: &Path, run: &Run) -> Vec<PathBuf>;
+
+    /// Whether the file called `name` in one of the run's folders belongs to the run.
+    fn makes(&self, run: &Run, folder: &Path, name: &str) -> bool;
+
+    /// Deletes only the files of a dataset whose manifest is `found`.
+    fn delete(&self, dir: &Path, found: &str) -> Result<(), RenderError>;
+
+    fn group(&self, number: u32) -> Result<Self::Group, RenderError>;
+
+    fn worker(&self) -> Self::Worker;
+
+    /// Renders the units of a run. Passes each to [`Work::each`].
+    fn make(
+        &self,
+        work: &Work<'_, Self>,
+        group: &Self::Group,
+        run: &Run,
+        worker: &mut Self::Worker,
+    ) -> Result<(), RenderError>;
+}
+
+/// Consecutive units of one group.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Run {
+    pub group: u32,
+    pub units: Range<u32>,
+}
+
+/// What to render of a dataset, and where.
+#[derive(Clone, Copy)]
+pub struct Request<'a> {
+    pub dir: &'a Path,
+    pub shard: Shard,
+    /// Delete another dataset in the folder.
+    pub force: bool,
+    /// Stop after this many units.
+    pub stop_after: Option<u64>,
+    /// Asked before each unit, from any thread: whether to stop after those that are in progress.
+    pub stop: &'a (dyn Fn() -> bool + Sync),
+    pub on_event: &'a (dyn Fn(Event) + Sync),
+}
+
+impl<'a> Request<'a> {
+    /// The dataset, or the part of it to render.
+    pub fn new(dir: &'a Path) -> Self {
+        Self { dir, shard: Shard::WHOLE, force: false, stop_after: None, stop: &|| false, on_event: &|_| {} }
+    }
+}
+
+/// Progress. Units are frame pairs or clips.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Event {
+    /// Parts are brought together: so many units were found in them so far.
+    Found { units: u64 },
+    /// The files of so many units that several parts have were compared so far.
+    Compared { units: u64 },
+    /// The folder was scanned: `whole` of the shard's `units` already exist.
+    Started { units: u64, whole: u64 },
+    /// One more unit is complete; this run has written so many bytes.
+    Made { bytes: u64 },
+    /// The dataset is complete, and the files of so many of its units are hashed.
+    Hashed { units: u64 },
+}
 
 /// State shared by all workers.
 pub(crate) struct Work<'a, P: Plan> {
@@ -123,18 +210,32 @@ impl<'a, P: Plan> Work<'a, P> {
         self.runs.iter().map(|run| run.group).find(|group| *group > number)
     }
 
+    /// Renders units one by one with `make`, until it is time to stop.
+    ///
+    /// # Errors
+    /// The first error of `make`.
+    pub fn each(
+        &self,
+        units: impl IntoIterator<Item = u32>,
+        mut make: impl FnMut(u32) -> Result<(), RenderError>,
+    ) -> Result<(), RenderError> {
+        for unit in units {
+            if !self.begin() {
+                break;
+            }
+            make(unit)?;
+            self.made.fetch_add(1, Ordering::Relaxed);
+            (self.on_event)(Event::Made { bytes: self.bytes() });
+        }
+        Ok(())
+    }
+
     /// Whether to render another unit.
-    pub fn begin(&self) -> bool {
+    fn begin(&self) -> bool {
         if self.begun.fetch_add(1, Ordering::Relaxed) >= self.stop_after || (self.stop)() {
             self.stopped.store(true, Ordering::Relaxed);
         }
         !self.stopped.load(Ordering::Relaxed)
-    }
-
-    /// Counts a unit with all files written.
-    pub fn done(&self) {
-        self.made.fetch_add(1, Ordering::Relaxed);
-        (self.on_event)(Event::Made { bytes: self.bytes() });
     }
 
     /// Writes a file and adds the time to `stage`.

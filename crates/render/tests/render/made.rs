@@ -9,15 +9,13 @@ use srflow_render::generate::{Background, ScenePairs, Settings, generate};
 use srflow_render::job::Request;
 use srflow_render::shapes::{ShapePairs, ShapesSettings, shapes};
 
+use crate::threads::on_threads;
+
 /// All pairs of a dataset in files, by scene and pair.
 fn read(kind: &str, dir: &Path) -> Vec<Sample> {
     let spec = format!("{kind}:{}", dir.display()).parse().unwrap();
     let dataset = FlowDataset::open(&spec, Some(Split::All)).unwrap();
     dataset.entries().iter().map(|entry| dataset.read(entry).unwrap()).collect()
-}
-
-fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
 }
 
 #[test]

@@ -1,7 +1,5 @@
 //! A capture made by `srflow avatar capture` is what its files say: read back and rendered again it gives the same pictures.
 
-mod tree;
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,6 +10,9 @@ use srflow_avatar::{Avatar, PosedHead};
 use srflow_render::capture::{CaptureReport, CaptureSettings, TRUE_FOLDER, capture};
 use srflow_render::job::Request;
 use srflow_splat::{Frame, Gaussians, Options, Rasterizer};
+
+use crate::threads::on_threads;
+use crate::tree;
 
 fn settings() -> CaptureSettings {
     CaptureSettings {
@@ -24,8 +25,7 @@ fn settings() -> CaptureSettings {
 }
 
 fn make(dir: &Path, settings: &CaptureSettings, threads: usize, stop_after: Option<u64>) -> CaptureReport {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    pool.install(|| capture(settings, Request { stop_after, ..Request::new(dir) })).unwrap()
+    on_threads(threads, || capture(settings, Request { stop_after, ..Request::new(dir) })).unwrap()
 }
 
 /// Every file below a folder, by relative path.

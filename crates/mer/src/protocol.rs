@@ -12,9 +12,9 @@ pub struct Protocol {
     /// Epochs: passes over the training clips
     #[arg(long, value_name = "N", default_value_t = Self::default().epochs)]
     pub epochs: usize,
-    /// Epochs between two recordings of the predictions
+    /// Record the predictions every N epochs
     ///
-    /// They start at epoch 0; the last epoch is recorded too.
+    /// Epoch 0 and the last epoch are always recorded.
     #[arg(long, value_name = "N", default_value_t = Self::default().record_every)]
     pub record_every: usize,
     /// Batch size in clips

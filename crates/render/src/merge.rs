@@ -30,7 +30,7 @@ pub struct Request<'a> {
     pub parts: &'a [PathBuf],
     /// Folder of the whole: a new one, or one of an earlier merge, or one of the parts.
     pub out: &'a Path,
-    /// Copy files rather than link them.
+    /// Copy files instead of linking them.
     pub copy: bool,
     /// Merge although units are missing.
     pub partial: bool,

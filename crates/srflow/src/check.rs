@@ -28,11 +28,11 @@ pub struct CheckJob {
     /// Folder of a dataset written by `srflow render`; with --hashes also by `srflow shapes` or `srflow mer synth`
     #[arg(value_name = "DIR")]
     pub dir: PathBuf,
-    /// Compare every file with its hash in SHA256SUMS instead, as `sha256sum -c SHA256SUMS` does
+    /// Only compare every file with its hash, as `sha256sum -c SHA256SUMS` does
     #[arg(long)]
     #[serde(default)]
     pub hashes: bool,
-    /// Render N random pairs again instead, and compare the bytes of their files; for datasets that need no other files
+    /// Only render N random pairs again and compare bytes; for datasets that need no other files
     #[arg(long, value_name = "N")]
     #[serde(default)]
     pub rerender: Option<NonZeroU64>,

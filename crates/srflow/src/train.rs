@@ -49,13 +49,13 @@ pub struct TrainJob {
     /// Print the configuration with every key instead of training, as TOML or JSON
     #[arg(long)]
     pub print_config: bool,
-    /// Stop after this step with a checkpoint, from which `resume` continues
+    /// Write a checkpoint and stop after this step; `resume` continues
     #[arg(long, value_name = "N")]
     pub stop_after_step: Option<u64>,
     /// Device to train on; several devices share each batch
     #[arg(long, value_name = "DEVICE", default_values_t = default_device())]
     pub device: Vec<String>,
-    /// Share every batch with the other processes that `mpirun` or `srun` has started
+    /// Share every batch with the other processes of `mpirun` or `srun`
     #[arg(long)]
     pub mpi: bool,
     #[command(flatten)]
@@ -68,7 +68,8 @@ pub struct TrainJob {
 #[serde(default)]
 #[command(next_help_heading = "Overriding the configuration")]
 pub struct Overrides {
-    /// Training dataset, KIND:DIR; several for a mix, KIND:DIR*TIMES; `shapes:` and `rendered:` make pairs while training
+    /// Training dataset, KIND:DIR or KIND:DIR*TIMES; several are mixed; `shapes:` and `rendered:` generate
+    /// pairs during training
     #[arg(long, value_name = "KIND:DIR")]
     pub data: Vec<String>,
     /// Validation dataset [default: the val split of the training data]

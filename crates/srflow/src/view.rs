@@ -52,8 +52,8 @@ pub struct ViewJob {
     #[arg(short, long, value_name = "HTML")]
     #[serde(default)]
     pub output: Option<PathBuf>,
-    /// Serve the page on this machine instead of writing it, and load pairs on demand; on this port, or any free one if none or
-    /// 0 is given
+    /// Serve the page on this machine instead of writing it, and load pairs on demand; without PORT, or with
+    /// 0, on any free port
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", conflicts_with = "output")]
     #[serde(default)]
     pub serve: Option<u16>,
@@ -69,7 +69,7 @@ pub struct ViewJob {
     #[arg(long, value_name = "MOTION")]
     #[serde(default)]
     pub motion: Option<MotionSource>,
-    /// Seed of the person and of the random motion, for heads that are made from one
+    /// Seed of the person and of the random motion, for built-in heads
     #[arg(long, value_name = "N", default_value_t = one())]
     #[serde(default = "one")]
     pub seed: u64,

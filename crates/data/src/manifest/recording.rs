@@ -13,14 +13,14 @@ pub struct Recording {
     /// Sensor noise, 0 to 50; at 1 a standard deviation of 0.9 levels of 255 in black, 1.8 in mid-grey and 2.3 in white
     #[arg(long, value_name = "F", default_value_t)]
     pub noise: f32,
-    /// Exposure and white balance, 0 to 4; at 1 off by half a stop at most, changing by 2 % within a scene
+    /// Exposure and white balance, 0 to 4; at 1 off by up to half a stop, with changes of 2 % within a scene
     ///
     /// At 1 a scene is up to half a stop too dark or too bright, its red up to 0.2 stops too strong or too weak and its blue the
     /// opposite. Within it the light changes by up to 2 %, its gradient over the frame by up to 1.2 % to each side, and red against
     /// blue by up to 1 %, all at 0.3 to 1.5 Hz.
     #[arg(long, value_name = "F", default_value_t)]
     pub lighting: f32,
-    /// Share of the head's light that comes from one to three lamps around it, 0 to 1
+    /// Share of the head's light from one to three lamps, 0 to 1
     ///
     /// A scene's is uniform from 0.3 times this. Light already in the head's colours stays; lamps cast no shadows.
     #[arg(long, value_name = "SHARE", default_value_t)]
@@ -28,10 +28,10 @@ pub struct Recording {
     /// Motion blur: share of the time between frames during which the shutter is open, 0 to 1, centred at the frame's time
     #[arg(long, value_name = "SHARE", default_value_t)]
     pub shutter: f32,
-    /// Radius of the blur of a lens out of focus, 0 to 64 pixels
+    /// Blur radius of a lens out of focus, 0 to 64 pixels
     #[arg(long, value_name = "PX", default_value_t)]
     pub defocus: f32,
-    /// Least quality of JPEG compression, 1 to 100; a scene's is from here to 95, or this one if it is higher
+    /// Minimum JPEG quality, 1 to 100; each scene draws one from here to 95, or uses this one if it is higher
     #[arg(long, value_name = "QUALITY")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jpeg: Option<u8>,

@@ -34,7 +34,7 @@ pub struct CaptureSettings {
     /// Head model
     #[arg(long, value_name = "HEAD", default_value_t = Self::default().head, help = crate::generate::head_help())]
     pub head: HeadSource,
-    /// Number of cameras, 1 to 16; the front camera, number 8, is always one
+    /// Number of cameras, 1 to 16, always including the front camera, number 8
     #[arg(long, value_name = "N", default_value_t = Self::default().cameras)]
     pub cameras: usize,
     /// Number of timesteps

@@ -37,7 +37,7 @@ pub struct Settings {
     /// Number of scenes, one subject each
     #[arg(long, value_name = "N", default_value_t = Self::default().scenes)]
     pub scenes: u32,
-    /// Frame pairs per scene; if not an integer, the mean over the scenes, rounded so that scenes are as even as possible
+    /// Frame pairs per scene; a fraction is the mean over scenes of nearly equal length
     #[arg(long, value_name = "N", default_value_t = Self::default().frames)]
     pub frames: f64,
     /// Size of the frames, WIDTHxHEIGHT
@@ -58,14 +58,15 @@ pub struct Settings {
     /// Also write depth
     #[arg(long)]
     pub depth: bool,
-    /// Also write region maps: whether a pixel shows skin, eyes, mouth, hair or neck
+    /// Also write region maps: skin, eyes, mouth, hair or neck for each pixel
     #[arg(long)]
     pub regions: bool,
     /// Background: white, black, #rrggbb, `procedural` (rooms, textures, gradients, lights), or a folder of images
     #[arg(long, value_name = "COLOUR|DIR", default_value_t = Self::default().background)]
     pub background: Background,
-    /// Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (with micro-expressions, small and large),
-    /// `own` (the one that an avatar was trained on), or a flame_param.npz or capture of another subject with the same kind of head
+    /// Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (also
+    /// micro-expressions, at many speeds), `own` (the avatar's training motion), or a flame_param.npz or
+    /// capture of another subject with the same kind of head
     #[arg(long, value_name = "MOTION", default_value_t = Self::default().motion)]
     pub motion: MotionSource,
     /// Device to rasterize on

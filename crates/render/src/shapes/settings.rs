@@ -35,7 +35,7 @@ pub struct ShapesSettings {
     /// Typical motion in pixels, from the shortest to the longest; each octave is equally likely
     #[arg(long, value_name = "SHORTEST,LONGEST", default_value_t = Self::default().motion)]
     pub motion: Numbers<f32, 2>,
-    /// Folder of images that half of the layers show [default: procedural textures]
+    /// Folder of images for half of the layers [default: procedural textures]
     #[arg(long, value_name = "DIR")]
     pub textures: Option<PathBuf>,
     /// Random seed

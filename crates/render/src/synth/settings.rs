@@ -39,10 +39,11 @@ pub struct SynthSettings {
     /// Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().noise)]
     pub noise: f32,
-    /// Head drift; 1 is up to a tenth of a degree and 0.15 mm to either side within a clip
+    /// Head drift within a clip; 1 is up to 0.1 degrees and 0.15 mm to either side
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().drift)]
     pub drift: f32,
-    /// Illumination changes; 1 is up to 2 % slowly, with a gradient over the face, and 0.3 % of flicker at 100 Hz
+    /// Illumination changes; 1 is slow changes of up to 2 %, with a gradient over the face, and 0.3 % flicker
+    /// at 100 Hz
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().lighting)]
     pub lighting: f32,
     /// Random seed

@@ -44,13 +44,13 @@ pub struct DemoJob {
     /// Head model
     #[arg(long, value_name = "HEAD", default_value_t = Self::default().head, help = crate::render::head_help())]
     pub head: HeadSource,
-    /// Random seed; another seed gives other heads
+    /// Random seed; each seed renders other heads
     #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
     pub seed: u64,
     /// Size of the large frames, WIDTHxHEIGHT; smaller is faster
     #[arg(long, value_name = "SIZE", default_value_t = Self::default().size)]
     pub size: Size,
-    /// Folder of KITTI 2015, to add real photographs with true flow
+    /// Folder of KITTI 2015, to also score photographs with true flow
     #[arg(long, value_name = "DIR", conflicts_with = "pair")]
     pub kitti: Option<PathBuf>,
     /// Two photographs and the true flow between them

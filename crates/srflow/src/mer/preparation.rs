@@ -20,7 +20,7 @@ pub struct PreparationArgs {
     /// Formula of the optical strain: literature or off-tanet
     #[arg(long, value_name = "FORMULA", default_value_t)]
     pub strain: StrainFormula,
-    /// Resize the frames to 112x112 before the flow is estimated, or the flow after
+    /// Resize to 112x112: the frames before estimating the flow, or the flow after
     #[arg(long, value_name = "ORDER", default_value_t)]
     pub resize: ResizeOrder,
     #[command(flatten)]

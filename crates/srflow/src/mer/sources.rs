@@ -27,7 +27,7 @@ pub struct SourceArgs {
     /// Tolerate missing frames; clips without onset or apex are dropped
     #[arg(long)]
     pub allow_missing: bool,
-    /// Accept clips that consist of onset, apex and offset frames only
+    /// Accept clips that contain only the onset, apex and offset frames
     #[arg(long)]
     pub only_key_frames: bool,
 }

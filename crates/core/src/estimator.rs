@@ -146,16 +146,10 @@ pub fn check_frame_sizes(
 pub enum EstimateError {
     /// The two frames differ in size.
     #[error("the frames differ in size: the first is {}x{}, the second {}x{} (WIDTHxHEIGHT)", .first.0, .first.1, .second.0, .second.1)]
-    SizeMismatch {
-        /// Width and height of the first frame.
-        first: (usize, usize),
-        /// Width and height of the second frame.
-        second: (usize, usize),
-    },
+    SizeMismatch { first: (usize, usize), second: (usize, usize) },
     /// The method cannot handle these frames or parameters.
     #[error("{method}: {reason}")]
     Unsupported {
-        /// Name of the method.
         method: String,
         /// What is wrong, and what to do.
         reason: String,

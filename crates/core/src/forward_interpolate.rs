@@ -36,7 +36,6 @@ pub fn forward_interpolate(flow: &FlowField) -> FlowField {
 #[derive(Debug, Clone, Copy)]
 struct Arrival {
     head: [f32; 2],
-    /// Index of the pixel.
     source: usize,
 }
 

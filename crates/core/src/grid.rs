@@ -2,13 +2,10 @@
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{width}x{height} needs {expected} pixels, the buffer has {found}")]
 pub struct SizeError {
-    /// Claimed width.
     pub width: usize,
-    /// Claimed height.
     pub height: usize,
     /// `width * height`.
     pub expected: usize,
-    /// Length of the buffer.
     pub found: usize,
 }
 
@@ -18,11 +15,8 @@ pub struct SizeError {
 pub struct SizeMismatch {
     /// Name of the first, e.g. `the prediction`.
     pub first_name: &'static str,
-    /// Width and height of the first.
     pub first: (usize, usize),
-    /// Name of the second.
     pub second_name: &'static str,
-    /// Width and height of the second.
     pub second: (usize, usize),
 }
 

@@ -39,9 +39,7 @@ pub enum ScoreError {
         "the prediction at pixel ({x}, {y}) is ({u}, {v}): expected finite numbers wherever the truth is known"
     )]
     NotFinite {
-        /// Column.
         x: usize,
-        /// Row.
         y: usize,
         /// Predicted flow, pixels.
         u: f32,

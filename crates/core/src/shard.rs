@@ -13,12 +13,10 @@ use crate::excerpt;
 pub struct Shard {
     /// Number of the part, from 1.
     pub number: u32,
-    /// Number of parts.
     pub of: u32,
 }
 
 impl Shard {
-    /// The whole work.
     pub const WHOLE: Self = Self { number: 1, of: 1 };
 
     /// The units of this part: all of them in order, cut into parts whose sizes differ by at most one.

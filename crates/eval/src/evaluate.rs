@@ -9,7 +9,7 @@ use srflow_core::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Mask, MeanMetrics, Metrics,
     ScoreError, Shard, score,
 };
-use srflow_read::flow::{DatasetError, Entry, EntryFile, FlowDataset, Sample};
+use srflow_data::flow::{DatasetError, Entry, EntryFile, FlowDataset, Sample};
 
 use crate::crop::{CropError, Window, head_window};
 use crate::error_curve::{ErrorCurve, shares_within};
@@ -54,7 +54,7 @@ pub struct Settings<'a> {
     /// Read the next pair while methods estimate, not only while they are scored: for methods that leave the CPU idle. The times of those that
     /// do not are then longer.
     pub read_ahead: bool,
-    /// Also score the regions of [region maps](srflow_read::region_map), which all pairs must have.
+    /// Also score the regions of [region maps](srflow_data::region_map), which all pairs must have.
     pub regions: bool,
     /// Also score the pixels whose true flow is shorter than this many pixels; of the head, where there are masks.
     pub small_motion: Option<f32>,

@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use srflow_core::FlowField;
+use srflow_data::flow::FlowDataset;
 use srflow_files::{FileError, FlowFormat, read_flow_as};
-use srflow_read::flow::FlowDataset;
 
 use crate::crop::Window;
 use crate::evaluate::chosen;
@@ -14,7 +14,7 @@ use crate::evaluate::chosen;
 const LISTED: usize = 12;
 
 /// A folder of flow files, one for each pair of a dataset: `SCENE/FRAME.EXT`, or `FRAME.EXT` where pairs have no scene, as
-/// [`Entry::id`](srflow_read::flow::Entry::id) names them, in any format of [`FlowFormat`].
+/// [`Entry::id`](srflow_data::flow::Entry::id) names them, in any format of [`FlowFormat`].
 #[derive(Debug, Clone)]
 pub struct FlowFiles {
     name: String,

@@ -1,7 +1,7 @@
 //! The pixels of a pair that scores of a region cover.
 
 use srflow_core::{FlowField, Labels, Mask};
-use srflow_read::region_map::HeadPart;
+use srflow_data::region_map::HeadPart;
 
 use crate::results::Region;
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use srflow_core::{Metrics, named};
-use srflow_read::flow::Split;
+use srflow_data::flow::Split;
 
 use crate::expression::Expression;
 use crate::table::{Better, Column, Row, Table, csv_text};

@@ -7,11 +7,11 @@ use std::sync::Mutex;
 use srflow_core::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Labels, Mask, Metrics,
 };
+use srflow_data::flow::{DatasetSpec, FlowDataset};
 use srflow_eval::{
     EvaluateError, Evaluation, Event, FlowFiles, Method, OnFailure, Region, SCORES, Settings, evaluate,
 };
 use srflow_files::{write_flow, write_image_png, write_labels_png, write_mask_png};
-use srflow_read::flow::{DatasetSpec, FlowDataset};
 
 const SIZE: (usize, usize) = (40, 24);
 

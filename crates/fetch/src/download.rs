@@ -20,12 +20,7 @@ const TIMEOUT: Duration = Duration::from_secs(30);
 #[derive(Debug, thiserror::Error)]
 pub enum DownloadError {
     #[error("downloading {url}: {problem}\n  without network access, download it elsewhere and copy it to {}", .path.display())]
-    Fetch {
-        url: String,
-        /// Destination of the download.
-        path: PathBuf,
-        problem: String,
-    },
+    Fetch { url: String, path: PathBuf, problem: String },
     /// The cached file is not the published one.
     #[error("{}: expected a file whose SHA-256 starts with {expected}, found {found}; delete it to download it again", .path.display())]
     Changed {

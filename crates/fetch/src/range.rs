@@ -89,11 +89,7 @@ pub enum FetchProblem {
     },
     /// The bytes are not those that were expected.
     #[error("bytes {} to {}: {reason}", .range.start, .range.end)]
-    Content {
-        range: Range<u64>,
-        /// What was expected, and what was found.
-        reason: String,
-    },
+    Content { range: Range<u64>, reason: String },
 }
 
 fn tries(attempts: u32) -> String {

@@ -25,7 +25,6 @@ pub enum FileProblem {
     /// The operating system reported an error.
     #[error("{doing}: {error}{}", advice(.error))]
     Io {
-        /// The operation, e.g. `opening`.
         doing: &'static str,
         #[source]
         error: io::Error,
@@ -33,7 +32,6 @@ pub enum FileProblem {
     /// The operating system reported an error for a path that the user chose.
     #[error("{doing}: {error}; {advice}")]
     Place {
-        /// The operation, e.g. `creating`.
         doing: &'static str,
         #[source]
         error: io::Error,
@@ -51,13 +49,7 @@ pub enum FileProblem {
     },
     /// The format cannot represent the value of a pixel.
     #[error("pixel ({x}, {y}): expected {expected}, found {found}")]
-    Pixel {
-        /// Column and row.
-        x: usize,
-        y: usize,
-        expected: &'static str,
-        found: String,
-    },
+    Pixel { x: usize, y: usize, expected: &'static str, found: String },
 }
 
 /// Advice for an operating system error, if it is not obvious.

@@ -9,6 +9,7 @@ mod image_file;
 mod json_lines;
 mod open;
 mod parse_words;
+mod run_folder;
 mod run_lock;
 mod settings;
 mod sha256;
@@ -30,6 +31,7 @@ pub use image_file::{
 pub use json_lines::{JsonLines, read_json_lines};
 pub use open::{FileKind, open_file, read_file, read_text};
 pub use parse_words::parse_error_in_words;
+pub use run_folder::{RUN_CONFIG, RunFolder, RunFolderError, RunMode, read_run_log};
 pub use run_lock::{LockError, RunLock};
 pub use settings::{Preset, SettingsError, parse_settings, read_settings, settings_text, with_setting};
 pub use sha256::{SHA256SUMS, hexadecimal, parse_sha256sums_line, sha256_of_file, sha256sums_line};

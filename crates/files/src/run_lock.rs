@@ -5,6 +5,8 @@ use std::io::{self, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::{FileError, FileProblem};
+
 /// Name of the lock in a run's folder.
 const LOCK: &str = ".lock";
 /// Most bytes read from a lock file.
@@ -29,12 +31,8 @@ pub enum LockError {
         /// Process and host from the lock file, and how long ago it took the lock.
         holder: String,
     },
-    #[error("{}: locking the file: {error}", .path.display())]
-    Io {
-        path: PathBuf,
-        #[source]
-        error: io::Error,
-    },
+    #[error(transparent)]
+    File(#[from] FileError),
 }
 
 impl RunLock {
@@ -44,7 +42,7 @@ impl RunLock {
     /// When another process holds the lock, or its file cannot be created.
     pub fn take(folder: &Path) -> Result<Self, LockError> {
         let path = folder.join(LOCK);
-        let failed = |error| LockError::Io { path: path.clone(), error };
+        let failed = |error| FileProblem::Io { doing: "locking the file", error }.in_file(&path);
         let options = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
         let mut file = options.map_err(failed)?;
         match file.try_lock() {
@@ -55,7 +53,7 @@ impl RunLock {
             }
             // The file system has no locks: a run without protection is better than none.
             Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
-            Err(TryLockError::Error(error)) => return Err(failed(error)),
+            Err(TryLockError::Error(error)) => return Err(failed(error).into()),
         }
         // The note only informs users; on a full disk the lock works without it.
         let _ = file.set_len(0).and_then(|()| file.write_all(note().as_bytes()));

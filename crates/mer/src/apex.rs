@@ -4,11 +4,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 use srflow_core::resize::resize_cubic;
 use srflow_core::{FlowEstimator, Plane, luminance, named, serialize_as_text};
+use srflow_data::micro_expression::Clip;
 use srflow_face::{FacePoints, FrameCrop};
 use srflow_files::read_image;
-use srflow_read::micro_expression::Clip;
 
-use crate::extract::{ExtractError, ExtractProblem};
+use crate::extract_error::{ExtractError, ExtractProblem};
 use crate::face::FaceCrop;
 use crate::features::FEATURE_SIDE;
 use crate::strain::{StrainFormula, optical_strain};
@@ -28,7 +28,6 @@ pub enum ApexRule {
 named!(ApexRule, "a rule of spotting the apex", { Ratio => "ratio", Strain => "strain" });
 serialize_as_text!(ApexRule);
 
-/// A spotted apex.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpottedApex {
     /// Number of the frame.
@@ -156,11 +155,12 @@ fn same_size(clip: &Clip, number: u64, onset: &Plane, now: &Plane) -> Result<(),
 }
 
 /// A rectangle: columns and rows, the second not included.
-type Cell = [[usize; 2]; 2];
+pub type Cell = [[usize; 2]; 2];
 
-/// Mean over the cells of the mean ratio within each; cells outside the picture are ignored. Without cells, the mean over the
-/// whole picture.
-fn difference_ratio(onset: &Plane, before: &Plane, now: &Plane, cells: &[Cell]) -> f64 {
+/// How much more a frame `now` differs from the onset than from the frame `before` it: per pixel, the ratio of the absolute
+/// differences of luminance, each plus 1. Mean over the cells of the mean within each; cells outside the picture are ignored.
+/// Without cells, the mean over the whole picture.
+pub fn difference_ratio(onset: &Plane, before: &Plane, now: &Plane, cells: &[Cell]) -> f64 {
     let whole = [[0, now.width()], [0, now.height()]];
     let means: Vec<f64> = cells.iter().filter_map(|cell| mean_ratio(onset, before, now, cell)).collect();
     if means.is_empty() {
@@ -184,7 +184,7 @@ fn mean_ratio(onset: &Plane, before: &Plane, now: &Plane, [columns, rows]: &Cell
 }
 
 /// The ten cells about mouth, chin, nose, eyes and brows, half a mouth wide, in the cropped picture; none without the 68 points.
-fn cells(face: &FacePoints, crop: &FrameCrop) -> Vec<Cell> {
+pub fn cells(face: &FacePoints, crop: &FrameCrop) -> Vec<Cell> {
     let Some(dlib) = &face.dlib else { return Vec::new() };
     let at = |index: usize| crop.point(dlib[index]);
     let [mouth_left, mouth_right, chin] = [at(48), at(54), at(8)];
@@ -238,56 +238,4 @@ pub fn apex_errors<'a>(spotted: impl IntoIterator<Item = (&'a Clip, u64)>) -> Op
     }
     let mean = |sum: f64| sum / clips as f64;
     (clips > 0).then(|| ApexErrors { clips, mean_absolute: mean(of_rule), of_the_middle: mean(of_middle) })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_ratio_is_greatest_where_the_difference_is_and_motion_is_not() {
-        let plane = |value: f32| Plane::filled(8, 8, value);
-        let ratio = |onset, before, now, cells: &[Cell]| {
-            difference_ratio(&plane(onset), &plane(before), &plane(now), cells)
-        };
-        assert_eq!(ratio(10.0, 14.0, 14.0, &[]), 5.0);
-        assert_eq!(ratio(10.0, 13.0, 14.0, &[]), 2.5);
-        assert_eq!(ratio(10.0, 14.0, 14.0, &[[[0, 2], [0, 2]], [[7, 90], [7, 90]], [[50, 60], [0, 2]]]), 5.0);
-    }
-
-    #[test]
-    fn only_the_cells_count() {
-        let onset = Plane::new(8, 8);
-        let now = Plane::from_fn(8, 8, |x, _| if x < 2 { 3.0 } else { 0.0 });
-        let ratio = |cells: &[Cell]| difference_ratio(&onset, &now, &now, cells);
-        assert_eq!(ratio(&[[[0, 2], [0, 8]]]), 4.0);
-        assert_eq!(ratio(&[[[4, 8], [0, 8]]]), 1.0);
-        assert_eq!(ratio(&[[[0, 2], [0, 1]], [[4, 8], [0, 8]]]), 2.5, "each cell counts the same");
-    }
-
-    #[test]
-    fn cells_lie_about_the_parts_of_the_face() {
-        let mut points = [[0.0; 2]; 68];
-        for (index, point) in [
-            (48, [80.0, 150.0]),
-            (54, [120.0, 150.0]),
-            (8, [100.0, 190.0]),
-            (31, [90.0, 120.0]),
-            (35, [110.0, 120.0]),
-        ] {
-            points[index] = point;
-        }
-        points[36] = [70.0, 80.0];
-        points[45] = [130.0, 80.0];
-        points[19] = [75.0, 60.0];
-        points[24] = [125.0, 60.0];
-        let face = FacePoints { eyes: [[75.0, 80.0], [125.0, 80.0]], dlib: Some(Box::new(points)) };
-        let cells = cells(&face, &FrameCrop::Whole);
-        assert_eq!(cells[0], [[70, 90], [140, 160]], "the left corner of the mouth");
-        assert_eq!(cells[2], [[90, 110], [170, 190]], "the chin");
-        assert_eq!(cells[4], [[110, 130], [120, 140]], "right of the nose");
-        assert_eq!(cells[5], [[50, 70], [70, 90]], "outside of the left eye");
-        assert_eq!(cells[8], [[70, 90], [50, 70]], "the left brow");
-        assert_eq!(cells.len(), 10);
-    }
 }

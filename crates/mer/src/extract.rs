@@ -1,20 +1,19 @@
 //! From a clip to its features: crop, resize, flow from onset to apex, strain.
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rayon::prelude::*;
 use srflow_core::resize::{resize_cubic, resize_flow_area};
-use srflow_core::{
-    EstimateError, FlowEstimator, FlowField, Image, Plane, in_stages, named, printable, serialize_as_text,
-};
-use srflow_face::{FaceError, FrameCrop};
-use srflow_files::{FileError, read_image};
-use srflow_read::micro_expression::Clip;
+use srflow_core::{FlowEstimator, FlowField, Image, Plane, in_stages, named, serialize_as_text};
+use srflow_data::micro_expression::Clip;
+use srflow_face::FrameCrop;
+use srflow_files::read_image;
 
 use crate::cache::{FeatureCache, FeatureKey};
+use crate::extract_error::{ExtractError, ExtractProblem};
 use crate::face::FaceCrop;
-use crate::features::{FEATURE_SIDE, FeatureError, Features, Sample};
+use crate::features::{FEATURE_SIDE, Features, Sample};
 use crate::strain::{StrainFormula, optical_strain};
 
 /// Whether pictures or flow are resized to 112x112. The paper does not say; Off-TANet's code resizes pictures.
@@ -36,7 +35,6 @@ pub struct Preparation {
     pub face: FaceCrop,
     /// Whether pictures or flow are resized.
     pub resize: ResizeOrder,
-    /// Formula of the strain.
     pub strain: StrainFormula,
 }
 
@@ -53,58 +51,6 @@ pub struct Method<'a> {
     pub estimator: &'a dyn FlowEstimator,
     /// Its name with every parameter, and a digest of its weights, if it has any: features are cached under it.
     pub identity: String,
-}
-
-/// Why the features of a clip could not be computed.
-#[derive(Debug, thiserror::Error)]
-#[error("{clip}: {problem}")]
-pub struct ExtractError {
-    /// The clip, as dataset/subject/clip.
-    pub clip: String,
-    pub problem: ExtractProblem,
-}
-
-#[derive(Debug, thiserror::Error)]
-pub enum ExtractProblem {
-    /// A request to stop came first.
-    #[error("stopped on request")]
-    Stopped,
-    /// It has no apex.
-    #[error("it has no apex frame; spot it (`apex` ratio or strain) or give a list of apex frames")]
-    NoApex,
-    /// A required frame is missing.
-    #[error("frame {0} is missing")]
-    NoFrame(u64),
-    /// A frame cannot be read, or the cache cannot be written.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// A frame could not be cropped.
-    #[error(transparent)]
-    Face(#[from] FaceError),
-    /// The face of the onset could not be found.
-    #[error("{}: {error}", printable(&.onset.to_string_lossy()))]
-    NoSingleFace {
-        /// The onset's file.
-        onset: PathBuf,
-        #[source]
-        error: FaceError,
-    },
-    /// The flow method failed.
-    #[error(transparent)]
-    Estimate(#[from] EstimateError),
-    /// The flow is not finite.
-    #[error(transparent)]
-    Features(#[from] FeatureError),
-    /// Onset and apex have different sizes, or are empty.
-    #[error("{} is {}x{} and {} {}x{} (WIDTHxHEIGHT): expected frames of one size with at least one pixel", .onset.display(), .onset_size.0, .onset_size.1, .apex.display(), .apex_size.0, .apex_size.1)]
-    Sizes {
-        /// The onset's file.
-        onset: PathBuf,
-        onset_size: (usize, usize),
-        /// The apex's file.
-        apex: PathBuf,
-        apex_size: (usize, usize),
-    },
 }
 
 /// The flow from `onset` to `apex` at the features' size, and its strain.

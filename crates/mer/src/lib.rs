@@ -2,8 +2,10 @@
 
 mod apex;
 mod cache;
+mod clap;
 mod classifier;
 mod extract;
+mod extract_error;
 mod face;
 mod features;
 mod features_file;
@@ -21,14 +23,16 @@ mod strain;
 mod summary;
 mod training;
 
-pub use apex::{ApexErrors, ApexRule, SpottedApex, apex_errors, fill_apexes, spot_apex, spot_apexes};
+pub use apex::{
+    ApexErrors, ApexRule, Cell, SpottedApex, apex_errors, cells, difference_ratio, fill_apexes, spot_apex,
+    spot_apexes,
+};
 pub use cache::{FeatureCache, FeatureKey, file_digest};
 pub use classifier::{
     CLASSIFIERS, Classifier, ClassifierEntry, ClassifierFacts, OffApexNet, OffTaNet, StstNet, initialized,
 };
-pub use extract::{
-    ExtractError, ExtractProblem, Extracted, Method, Preparation, ResizeOrder, extract, features_of_frames,
-};
+pub use extract::{Extracted, Method, Preparation, ResizeOrder, extract, features_of_frames};
+pub use extract_error::{ExtractError, ExtractProblem};
 pub use face::{FaceCrop, Landmarks};
 pub use features::{Channel, FEATURE_SIDE, FeatureError, Features, Sample};
 pub use features_file::{FeatureRecipe, write_features};
@@ -49,17 +53,9 @@ pub use results_folder::{
     ResultsError, ResultsFolder, ResultsRecord, TABLE_FILES, all_score_tables, write_tables,
 };
 pub use run::{
-    DataRecord, FeatureSet, RunError, RunEvent, RunFolders, RunMethod, RunResults, RunSettings, RunWatch, Sets,
-    TrainedPart, compute_features, run, run_part,
+    DataRecord, FeatureSet, RunError, RunEvent, RunFolders, RunMethod, RunResults, RunSettings, RunWatch,
+    Sets, TrainedPart, compute_features, run, run_part,
 };
 pub use strain::{StrainFormula, optical_strain, strain_colors};
 pub use summary::{Best, EpochScores, FoldScores, Summary, SummaryError};
 pub use training::{Training, cross_entropy};
-
-/// Clap's derives with the feature `clap`; otherwise derives that generate nothing.
-pub(crate) mod clap {
-    #[cfg(feature = "clap")]
-    pub use ::clap::{Args, ValueEnum};
-    #[cfg(not(feature = "clap"))]
-    pub use srflow_no_clap::{Args, ValueEnum};
-}

@@ -113,13 +113,10 @@ pub enum LosoError {
     /// A value of the protocol is out of range.
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
-    /// There are fewer than two subjects.
     #[error("leaving one subject out needs clips of at least 2 subjects; found {}", listed(.0))]
     Subjects(Vec<String>),
-    /// Two clips of one subject share a name.
     #[error("{dataset} subject {subject} has two clips called {clip}; give each its own name")]
     SameClip { dataset: String, subject: String, clip: String },
-    /// The loss of a fold was not finite.
     #[error(
         "training without {dataset} subject {subject} diverged in epoch {epoch}; try a smaller learning rate"
     )]
@@ -129,14 +126,12 @@ pub enum LosoError {
         subject: String,
         epoch: usize,
     },
-    /// A classifier of another program did not give one class for each clip.
     #[error("{dataset} subject {subject}: expected the classes of {clips} clips, numbers from 0 to {}; found {found}", .classes.saturating_sub(1))]
     Predicted {
         dataset: String,
         /// The held-out subject.
         subject: String,
         clips: usize,
-        /// Number of classes.
         classes: usize,
         /// What the classifier gave.
         found: String,
@@ -381,7 +376,7 @@ impl Store {
     ) -> Result<Self, FileError> {
         create_folder(folder)?;
         let mut digest = Sha256::new();
-        digest.update(format!("srflow fold {VERSION}\n{}\n{protocol:?}\n", C::FACTS.name));
+        digest.update(format!("srflow fold {VERSION}\n{}\n{}\n", C::FACTS.name, protocol.identity()));
         digest.update(format!("{classes:?}\n"));
         for sample in samples {
             let Sample { dataset, subject, clip, class, features } = sample;

@@ -1,13 +1,14 @@
 //! The page of a run: scores, curves, confusion matrices, subjects, and clips with face, flow, strain and prediction.
 
 use srflow_core::{FlowField, Plane, flow_colors};
+use srflow_data::micro_expression::Clip;
 use srflow_eval::report::{
     Axis, Chart, Curve, Figure, Page, Picture, PictureError, Section, Strip, color_scale, confusion_matrix,
     curves, facts, flow_scale, ramp_legend, score_table, shrink_image, side_by_side, strips, wheel_legend,
 };
-use srflow_read::micro_expression::Clip;
 
-use crate::extract::{ExtractError, faces_of_clip};
+use crate::extract::faces_of_clip;
+use crate::extract_error::ExtractError;
 use crate::face::FaceCrop;
 use crate::features::{Channel, FEATURE_SIDE, Sample};
 use crate::predictions::{Prediction, Trial};

@@ -32,7 +32,6 @@ pub struct ResultsFolder {
 /// Why results could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum ResultsError {
-    /// Results exist already.
     #[error("{} exists; give `force` to overwrite it, or another folder", .0.display())]
     Exists(PathBuf),
     /// A file could not be written.
@@ -97,7 +96,6 @@ impl ResultsFolder {
         self.file("folds")
     }
 
-    /// The path of the report.
     pub fn report(&self) -> PathBuf {
         self.file(REPORT)
     }

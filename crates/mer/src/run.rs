@@ -5,15 +5,16 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use srflow_core::{FlowEstimator, Shard};
+use srflow_data::micro_expression::{Clip, ClipDataset};
 use srflow_eval::MethodRecord;
 use srflow_files::FileError;
-use srflow_read::micro_expression::{Clip, ClipDataset};
 
 use crate::apex::{ApexRule, fill_apexes};
 use crate::cache::FeatureCache;
 use crate::clap::ValueEnum;
 use crate::classifier::ClassifierEntry;
-use crate::extract::{ExtractError, ExtractProblem, Extracted, Method, Preparation, extract};
+use crate::extract::{Extracted, Method, Preparation, extract};
+use crate::extract_error::{ExtractError, ExtractProblem};
 use crate::features::Sample;
 use crate::loso::{FoldFolder, Loso, LosoError, LosoEvent};
 use crate::predictions::Trial;
@@ -27,17 +28,13 @@ const COMPOSITE: &str = "composite";
 /// The settings that a run's results depend on, apart from clips and flow methods.
 #[derive(Debug, Clone)]
 pub struct RunSettings {
-    /// The classifier.
     pub classifier: ClassifierEntry,
     /// The sets of clips to evaluate.
     pub sets: Sets,
     /// How to spot the apex of clips without one; `None` makes such a clip an error.
     pub apex: Option<ApexRule>,
-    /// Preparation of the frames.
     pub preparation: Preparation,
-    /// Training protocol.
     pub protocol: Protocol,
-    /// Names of the classes.
     pub classes: Arc<[String]>,
     /// Rows of the tables that were asked for and are not there, a sentence each.
     pub left_out: Vec<String>,
@@ -56,7 +53,6 @@ pub enum Sets {
     Both,
 }
 
-/// A flow method of a run.
 pub struct RunMethod<'a> {
     pub estimator: &'a dyn FlowEstimator,
     /// Its name in the results, and everything its flow depends on.
@@ -110,7 +106,6 @@ pub struct RunWatch<'a> {
 pub struct RunFolders<'a> {
     /// Features, shared between runs.
     pub features: &'a Path,
-    /// Finished folds.
     pub folds: &'a Path,
 }
 
@@ -150,7 +145,6 @@ pub struct DataRecord {
     pub form: &'static str,
     pub clips: usize,
     pub subjects: usize,
-    /// Number of dropped rows.
     pub dropped: usize,
     /// Clips with missing frames, as subject/clip.
     pub clips_with_missing_frames: Vec<String>,
@@ -167,10 +161,8 @@ pub enum RunError {
     /// A value of the protocol is out of range.
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
-    /// The composite set needs several datasets.
     #[error("the composite set needs several datasets, found {0}; give more, or take each by itself")]
     Composite(usize),
-    /// A set has fewer than two subjects.
     #[error("{set}: leaving one subject out needs clips of at least 2 subjects; found {found}")]
     Subjects { set: String, found: usize },
     /// The features of a clip could not be computed.
@@ -260,8 +252,7 @@ pub fn run_part(
     part: Shard,
     watch: RunWatch,
 ) -> Result<TrainedPart, RunError> {
-    let (_, part) =
-        train_folds(datasets, &methods, settings, folders, part, watch, &mut |_, _, _| Ok(()))?;
+    let (_, part) = train_folds(datasets, &methods, settings, folders, part, watch, &mut |_, _, _| Ok(()))?;
     Ok(part)
 }
 

@@ -392,7 +392,7 @@ impl Encoder {
 #[cfg(test)]
 mod tests {
     use burn::tensor::TensorData;
-    use srflow_golden::numbers;
+    use srflow_ops::golden::numbers;
 
     use super::*;
 

@@ -356,8 +356,8 @@ fn own_name(name: &str) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use srflow_golden::numbers;
     use srflow_nn::parameter_infos;
+    use srflow_ops::golden::numbers;
 
     use super::*;
 

@@ -367,7 +367,7 @@ impl FlowNetwork for SrFlow {
 
 #[cfg(test)]
 mod tests {
-    use srflow_golden::numbers;
+    use srflow_ops::golden::numbers;
 
     use super::*;
 

@@ -41,8 +41,8 @@ pub fn concatenate(maps: Vec<Tensor<4>>) -> Tensor<4> {
 
 #[cfg(test)]
 mod tests {
+    use crate::golden::numbers;
     use burn::tensor::{Device, TensorData};
-    use srflow_golden::numbers;
 
     use super::*;
     use crate::test_values::values;

@@ -41,6 +41,8 @@ pub mod conv_transpose2d;
 pub mod convolution;
 pub mod correlation;
 pub mod depthwise;
+#[cfg(feature = "golden")]
+pub mod golden;
 pub mod gru;
 pub mod instance_norm;
 pub mod laplace_mixture;

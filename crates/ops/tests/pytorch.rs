@@ -6,7 +6,6 @@
 use std::sync::LazyLock;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_golden::{Golden, name_hash, noise, numbers};
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention;
 use srflow_ops::attention::{self, Windows};
@@ -15,6 +14,7 @@ use srflow_ops::conv_transpose2d::tensor::conv_transpose2d;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
+use srflow_ops::golden::{Golden, name_hash, noise, numbers};
 use srflow_ops::gru;
 use srflow_ops::instance_norm::tensor::{group_norm, instance_norm};
 use srflow_ops::layer_norm::tensor::layer_norm;

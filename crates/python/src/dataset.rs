@@ -5,7 +5,7 @@ use std::sync::Arc;
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
+use srflow_data::flow::{DatasetSpec, FlowDataset, Split};
 
 use crate::arrays;
 use crate::compute::compute;

@@ -5,8 +5,8 @@ use std::io;
 
 use pyo3::PyErr;
 use pyo3::exceptions::PyValueError;
+use srflow_data::flow::DatasetError;
 use srflow_nets::PublishedError;
-use srflow_read::flow::DatasetError;
 
 /// `OSError` or one of its classes where the operating system refused something, else `ValueError`.
 pub fn exception(error: impl Into<anyhow::Error>) -> PyErr {

@@ -47,9 +47,9 @@ def demo(
     Args:
         out: Folder for the datasets, the scores and report.html.
         head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
-        seed: Random seed; another seed gives other heads.
+        seed: Random seed; each seed renders other heads.
         size: Size of the large frames, WIDTHxHEIGHT; smaller is faster.
-        kitti: Folder of KITTI 2015, to add real photographs with true flow.
+        kitti: Folder of KITTI 2015, to also score photographs with true flow.
         pair: Two photographs and the true flow between them.
         open: Open the report in the browser.
         force: Delete an existing demo and regenerate everything.
@@ -93,29 +93,29 @@ def render(
 
     Args:
         out: Folder of the dataset.
-        preset: Defaults of other settings: `wild` is a procedural background, mixed motion and every effect of a recording.
-        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        preset: Defaults of other settings: `wild` combines a procedural background, mixed motion and every effect of a recording.
+        shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         stop_after: Stop after N pairs, clips or timesteps; the same command continues.
         force: Delete the dataset in the folder and start over.
         head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         scenes: Number of scenes, one subject each.
-        frames: Frame pairs per scene; if not an integer, the mean over the scenes, rounded so that scenes are as even as possible.
+        frames: Frame pairs per scene; a fraction is the mean over scenes of nearly equal length.
         size: Size of the frames, WIDTHxHEIGHT.
         splits: Shares of train, val and test scenes, which sum to 1.
         seed: Random seed.
         flow_format: File format of the flow: flo, png, png128, pfm, flo5, npy, npz, npz16.
         backward: Also write the flow from frame 2 to frame 1.
         depth: Also write depth.
-        regions: Also write region maps: whether a pixel shows skin, eyes, mouth, hair or neck.
+        regions: Also write region maps: skin, eyes, mouth, hair or neck for each pixel.
         background: Background: white, black, #rrggbb, `procedural` (rooms, textures, gradients, lights), or a folder of images.
-        motion: Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (with micro-expressions, small and large), `own` (the one that an avatar was trained on), or a flame_param.npz or capture of another subject with the same kind of head.
+        motion: Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (also micro-expressions, at many speeds), `own` (the avatar's training motion), or a flame_param.npz or capture of another subject with the same kind of head.
         device: Device to rasterize on.
         noise: Sensor noise, 0 to 50; at 1 a standard deviation of 0.9 levels of 255 in black, 1.8 in mid-grey and 2.3 in white.
-        lighting: Exposure and white balance, 0 to 4; at 1 off by half a stop at most, changing by 2 % within a scene.
-        lamps: Share of the head's light that comes from one to three lamps around it, 0 to 1.
+        lighting: Exposure and white balance, 0 to 4; at 1 off by up to half a stop, with changes of 2 % within a scene.
+        lamps: Share of the head's light from one to three lamps, 0 to 1.
         shutter: Motion blur: share of the time between frames during which the shutter is open, 0 to 1, centred at the frame's time.
-        defocus: Radius of the blur of a lens out of focus, 0 to 64 pixels.
-        jpeg: Least quality of JPEG compression, 1 to 100; a scene's is from here to 95, or this one if it is higher.
+        defocus: Blur radius of a lens out of focus, 0 to 64 pixels.
+        jpeg: Minimum JPEG quality, 1 to 100; each scene draws one from here to 95, or uses this one if it is higher.
         callback: Called with progress.
     """
     settings = locals()
@@ -143,10 +143,10 @@ def shapes(
         pairs: Number of pairs.
         size: Size of the frames, WIDTHxHEIGHT.
         motion: Typical motion in pixels, from the shortest to the longest; each octave is equally likely.
-        textures: Folder of images that half of the layers show [default: procedural textures].
+        textures: Folder of images for half of the layers [default: procedural textures].
         seed: Random seed.
         flow_format: File format of the flow: flo, png, png128, pfm, flo5, npy, npz, npz16.
-        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         stop_after: Stop after N pairs, clips or timesteps; the same command continues.
         force: Delete the dataset in the folder and start over.
         callback: Called with progress.
@@ -216,28 +216,28 @@ def flow(
         viz: Also draw the flow in colours: into a PNG file, a folder of PNG files, or a video.
         uncertainty: Also write the expected error of each component of the flow in pixels, as .npy of shape (H, W), a file or a folder like --out; with --viz also as PNG next to it; for srflow, dpflow, sea-raft-s, sea-raft-m, sea-raft-l.
         occlusion: Also write the probability that a pixel of the first frame is hidden in the second, as .npy of shape (H, W), a file or a folder like --out; with --viz also as PNG next to it; for flownet3-css.
-        viz_max: Length in pixels of the flow with full colour, and the uncertainty with the brightest [default: the largest of each pair].
+        viz_max: Flow length in pixels of full colour, and the uncertainty drawn brightest [default: the largest of each pair].
         initial_flow: Start from this flow (for two frames).
         warm_start: Start each pair of a sequence from the flow of the previous one, projected forward.
-        batch: Pairs of a sequence that a network estimates at once.
+        batch: Pairs of a sequence to estimate at once with a network.
         force: Overwrite existing files.
-        save_crops: With --face, --face-box or --landmarks: also write the cropped frames, which the flow belongs to, as PNG files.
-        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
-        face: Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats the run without them.
-        face_index: Which face, where several are found: 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or a .whl file, or a folder with its files face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        save_crops: With --face, --face-box or --landmarks: also write the cropped frames as PNG files; the flow is that of these frames.
+        shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
+        face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
+        face_index: Face to use if there are several; 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
-        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
-        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
-        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        set: Network setting that the weights do not store; `srflow models` lists them.
+        precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
-        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
-        scale: Resize the frames by this factor first, and the flow back.
+        scale: Resize the frames by this factor before estimation, and the flow back to full size.
         pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
         levels: Pyramid levels in addition to the full size [default: 5].
         winsize: Side of the averaging window in pixels [default: 13].
@@ -281,10 +281,10 @@ def metrics(
     Args:
         prediction: Predicted flow (.flo, KITTI .png, .pfm, .flo5, .npy, .npz).
         truth: Ground truth, in any of these formats.
-        mask: Mask: score only pixels where this image is over 127; for the regularizers, the head.
+        mask: Mask: score only pixels above 127; for the regularizers, the head.
         regularizers: Evaluate the four regularizers on PRED.
         image: First frame of PRED.
-        image_max: Value of a white pixel of FRAME1 when MIGAR and IGVAR take its gradients.
+        image_max: Value of a white pixel of FRAME1 for the gradients of MIGAR and IGVAR.
         m_total: Pixels of the head that MIGAR and IGVAR use: all but the outline, or the paper's formula as printed.
         callback: Called with progress.
     """
@@ -309,7 +309,7 @@ def convert(
         output: File to write.
         viz: Draw the flow in the colours of Middlebury's wheel, as a .png; unknown pixels are black.
         max: Length of the flow with full colour, in pixels (default: the longest of the picture).
-        ply_up: Direction that is up in a .ply of Gaussians, which does not say so: y, as for heads of srflow, or -y, as for most scenes that were reconstructed from photographs.
+        ply_up: Up direction of a .ply of Gaussians, which does not store it: y, as for srflow's heads, or -y, as for most scenes from photographs.
         force: Overwrite OUT.
         callback: Called with progress.
     """
@@ -351,24 +351,24 @@ def rasterize(
         gaussians: Gaussians of this frame: .ply, .splat, .spz or .glb.
         next: Gaussians of the next frame: the same ones in the same order.
         head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
-        motion: Motion of the head: `own` (the one that an avatar was trained on), a flame_param.npz or capture of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
+        motion: Motion of the head: `own` (the avatar's training motion), a flame_param.npz or capture of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
         timestep: Timestep of the motion in this frame, from 0.
         action_units: Action units in place of a motion, 0 to 1 each, such as 6=0.5,12_L=1.
-        seed: Seed of the person and of the random motion, for heads that are made from one.
+        seed: Seed of the person and of the random motion, for built-in heads.
         timestep_next: Timestep of the motion in the next frame.
         action_units_next: Action units in the next frame.
         camera: Camera of this frame [default: one that sees all Gaussians from +z, where +y is up; those of a .splat file from -z, where -y is up].
-        view: Camera of CAM to use: its name (that of its picture, with or without folder and extension), or its number from 0.
+        view: Camera of CAM: its picture's name, with or without folder and extension, or its number from 0.
         camera_next: Camera of the next frame, of the same image size.
         view_next: Camera to use from --camera-next, or from --camera without --camera-next.
-        size: Size of the pictures, in the camera's own proportions; required where CAM has no size.
-        orbit: Move the camera around the centre of the Gaussians, to the right where DEGREES are positive [default: a frame every 3 degrees].
+        size: Size of the pictures, with the camera's aspect ratio; required if CAM has no size.
+        orbit: Move the camera around the centre of the Gaussians; positive DEGREES move it to the right [default: a frame every 3 degrees].
         path: Move through the cameras of this file, in their order.
         fps: Frames per second of the video.
         background: Background colour: white, black, #rrggbb or R,G,B (0 to 255 each).
         pixel_convention: Convention for pixel coordinates of the flow.
-        antialiased: Reduce the opacity of Gaussians smaller than a pixel, for Gaussians that were trained in this way [default: as their file says].
-        sort_per_pixel: Sort the Gaussians at each pixel along its ray, instead of once by their centres: nothing pops when the camera moves.
+        antialiased: Reduce the opacity of Gaussians smaller than a pixel, for Gaussians trained with antialiasing [default: as their file says].
+        sort_per_pixel: Sort the Gaussians along the ray of each pixel, to avoid popping when the camera moves.
         force: Overwrite existing files in OUT.
         callback: Called with progress.
     """
@@ -417,11 +417,11 @@ def models_export(
     """Export weights for PyTorch or as safetensors, or a network as ONNX.
 
     Args:
-        weights: Weights of one of the networks: a file, the name of published weights, such as skflow-things, or the name of a network whose weights come with srflow.
+        weights: Weights: a file, the name of published weights, such as skflow-things, or the name of a built-in network.
         out: File to write: .ckpt, .pt or .pth (PyTorch), .safetensors, or .onnx.
-        half: Store 16-bit numbers, rounded to the nearest, in half of the bytes; for .safetensors.
-        iters: Refinement iterations, each of which is in the file; for .onnx [default: the network's own, see `srflow models`].
-        size: The one size of the frames that the file takes, WIDTHxHEIGHT; for .onnx [default: it takes any size].
+        half: Store 16-bit numbers, in half the bytes; for .safetensors.
+        iters: Refinement iterations, fixed in the file; for .onnx [default: the network's own, see `srflow models`].
+        size: Accept only frames of this size, WIDTHxHEIGHT; for .onnx [default: it takes any size].
         force: Overwrite an existing file.
         callback: Called with progress.
     """
@@ -460,10 +460,10 @@ def device_network(
         network: Name of the network; `srflow models` lists them.
         iters: Refinement iterations [default: the network's own].
         weights: File of weights.
-        precision: What the network multiplies on the device; on the CPU, with --against-cpu, f32.
+        precision: Numbers that the network multiplies on the device; with --against-cpu, the CPU uses f32.
         device: Device to compute on; this build has cpu.
         size: Size of the frames, WIDTHxHEIGHT.
-        repeats: How often; the first time includes the compilation of kernels.
+        repeats: Number of runs; the first includes the compilation of kernels.
         against_cpu: Also compute on the CPU, and print the differences.
         callback: Called with progress.
     """
@@ -484,7 +484,7 @@ def device_rasterizer(
     Args:
         device: Device to compute on; this build has cpu.
         size: Size of the frames, WIDTHxHEIGHT.
-        repeats: How often; the first time includes the compilation of kernels.
+        repeats: Number of runs; the first includes the compilation of kernels.
         against_cpu: Also compute on the CPU, and print the differences.
         callback: Called with progress.
     """
@@ -522,10 +522,10 @@ def train(
         out: Folder of the run.
         resume: Continue the run in this folder from its last checkpoint.
         print_config: Print the configuration with every key instead of training, as TOML or JSON.
-        stop_after_step: Stop after this step with a checkpoint, from which `resume` continues.
+        stop_after_step: Write a checkpoint and stop after this step; `resume` continues.
         device: Device to train on; several devices share each batch.
-        mpi: Share every batch with the other processes that `mpirun` or `srun` has started.
-        data: Training dataset, KIND:DIR; several for a mix, KIND:DIR*TIMES; `shapes:` and `rendered:` make pairs while training.
+        mpi: Share every batch with the other processes of `mpirun` or `srun`.
+        data: Training dataset, KIND:DIR or KIND:DIR*TIMES; several are mixed; `shapes:` and `rendered:` generate pairs during training.
         validation: Validation dataset [default: the val split of the training data].
         network: Network.
         weights: Initial weights: a file, or the name of published weights, such as things.
@@ -578,7 +578,7 @@ def ablation(
         control: Training data of the row `control`, KIND:DIR; several for a mix.
         test: Dataset to score on, KIND:DIR@SPLIT; several for tables of each [default: the test split of the first training dataset].
         device: Device to train on; several devices share each batch.
-        data: Training dataset, KIND:DIR; several for a mix, KIND:DIR*TIMES; `shapes:` and `rendered:` make pairs while training.
+        data: Training dataset, KIND:DIR or KIND:DIR*TIMES; several are mixed; `shapes:` and `rendered:` generate pairs during training.
         validation: Validation dataset [default: the val split of the training data].
         network: Network.
         weights: Initial weights: a file, or the name of published weights, such as things.
@@ -610,9 +610,9 @@ def merge(
 
     Args:
         parts: Folders of the parts.
-        out: Folder of the whole dataset: a new one, one of an earlier merge, or one of the parts.
-        copy: Copy files rather than link them.
-        partial: Merge although pairs or clips are missing; the dataset is complete when a later merge, or the command that made the parts, adds them.
+        out: Folder of the whole dataset: new, from an earlier merge, or one of the parts.
+        copy: Copy files instead of linking them.
+        partial: Merge even if pairs or clips are missing; a later merge can add them.
         callback: Called with progress.
     """
     settings = locals()
@@ -658,8 +658,8 @@ def check(
 
     Args:
         dir: Folder of a dataset written by `srflow render`; with --hashes also by `srflow shapes` or `srflow mer synth`.
-        hashes: Compare every file with its hash in SHA256SUMS instead, as `sha256sum -c SHA256SUMS` does.
-        rerender: Render N random pairs again instead, and compare the bytes of their files; for datasets that need no other files.
+        hashes: Only compare every file with its hash, as `sha256sum -c SHA256SUMS` does.
+        rerender: Only render N random pairs again and compare bytes; for datasets that need no other files.
         seed: Seed that draws the pairs of --rerender [default: from the clock].
         callback: Called with progress.
     """
@@ -732,34 +732,34 @@ def eval(
         method: Methods to score: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE [default: srflow].
         crop: Crop that is estimated and scored, centred on the head (without a mask, on the frame).
         limit: Score only N pairs, spread evenly over the dataset.
-        batch: Pairs that a network estimates at once, if they follow each other and have one size; scores do not change, and each pair's time is an equal share of the batch's.
-        regions: Also score skin, eyes, mouth, hair, neck, the rim of the head (the 3 px beside the background; no other region contains them) and the background, by the region maps of `srflow render --regions`.
-        small_motion: Also score the pixels whose true flow is shorter than this, e.g. 0.5; of the head, where there are masks.
-        expression: Also score the motion that remains inside the head (without a mask, in the frame) when that of the head, its best affine fit, is taken away from the estimated and the true flow: the correlation of the two, and how strong the estimated one is.
+        batch: Pairs to estimate at once with a network, if they are consecutive and of one size; scores do not change, and each pair's time is an equal share of the batch's.
+        regions: Also score the regions of `srflow render --regions`: skin, eyes, mouth, hair, neck, the rim of the head (3 px wide, in no other region) and the background.
+        small_motion: Also score the pixels whose true flow is shorter than this, e.g. 0.5; with masks, only on the head.
+        expression: Also score the motion of the expression: subtract the head's motion, the best affine fit within the mask (or the frame), from estimated and true flow, and compare the rest by correlation and strength.
         keep_going: Leave out pairs that cannot be scored, for every method, and continue; the exit code is still 1.
         save_flow: Also write the flow of each method and pair, as DIR/METHOD/SCENE/FRAME.flo.
-        figure: Also write a figure for a paper into this folder: figure.svg, figure.pdf, and its panels as PNGs of full size; `srflow figure` makes others.
+        figure: Also write a figure for a paper into this folder: figure.svg, figure.pdf and every panel as PNG; see also `srflow figure`.
         figure_pairs: Pairs in the figure, by their names in pairs.csv [default: 4, spread evenly].
         force: Overwrite these files.
-        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
-        face: Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats the run without them.
-        face_index: Which face, where several are found: 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or a .whl file, or a folder with its files face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
+        face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
+        face_index: Face to use if there are several; 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         rows: Methods with their names and weights: a TOML file, or one of paper-table-2, paper-table-3, paper-table-4, paper-table-6, paper-tables-7-to-10.
-        weights_dir: Folder that the weights of --rows are looked for in.
-        skip_missing: Leave out rows whose weights, or whose networks in this version, are missing, and say so in the table.
-        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        weights_dir: Folder with the weights of --rows.
+        skip_missing: Leave out rows whose weights or networks are missing; the table lists them.
+        refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
-        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
-        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        set: Network setting that the weights do not store; `srflow models` lists them.
+        precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
-        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
-        scale: Resize the frames by this factor first, and the flow back.
+        scale: Resize the frames by this factor before estimation, and the flow back to full size.
         pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
         levels: Pyramid levels in addition to the full size [default: 5].
         winsize: Side of the averaging window in pixels [default: 13].
@@ -857,8 +857,8 @@ def figure(
         flow: Flow files between --frames, with the names of their methods.
         method: Methods to show: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
         columns: Columns: see below [default: truth+frame1 flow+error; without truth: frame1 frame2 flow].
-        crop: Show this part of the frames: around the head (without a mask, in the middle), or from column X and row Y. Flow is estimated on whole frames; scores and scales are those of the part.
-        flow_scale: Flow with full colour, in pixels: a number, `auto` (one scale for the figure), or `pair` (one for each pair).
+        crop: Show only this part of the frames: around the head (without a mask, in the middle), or from column X and row Y. Flow is estimated on whole frames; scores and scales are of the part.
+        flow_scale: Flow length of full colour, in pixels: a number, `auto` (one scale for the figure) or `pair` (one for each pair).
         error_scale: Upper end of errors, in pixels, likewise.
         strain_scale: Upper end of strain, likewise.
         arrows: Draw an arrow on flow every STEP pixels; flow with full colour has arrows of that length.
@@ -869,19 +869,19 @@ def figure(
         no_scores: Leave out the end-point errors.
         font_size: Size of titles and labels in points; captions are smaller.
         width: Width of the figure, in mm, cm, in, pt or bp (those of LaTeX), such as 252pt.
-        max_columns: Most columns in a row; more continue in another row.
-        dpi: Resolution that pictures are averaged down to where they have more pixels, in pixels per inch.
+        max_columns: Maximum number of columns in a row; further columns start another row.
+        dpi: Maximum resolution of pictures, in pixels per inch; finer pictures are averaged down.
         force: Overwrite these files.
-        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
-        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
-        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        set: Network setting that the weights do not store; `srflow models` lists them.
+        precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
-        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
-        scale: Resize the frames by this factor first, and the flow back.
+        scale: Resize the frames by this factor before estimation, and the flow back to full size.
         pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
         levels: Pyramid levels in addition to the full size [default: 5].
         winsize: Side of the averaging window in pixels [default: 13].
@@ -955,23 +955,23 @@ def view(
     Args:
         thing: What to show.
         output: The page to write [default: the name of the thing with .html, in this folder].
-        serve: Serve the page on this machine instead of writing it, and load pairs on demand; on this port, or any free one if none or 0 is given.
+        serve: Serve the page on this machine instead of writing it, and load pairs on demand; without PORT, or with 0, on any free port.
         split: Split of a dataset: train, val, test or all [default: the one that results are usually reported on].
         limit: Show N pairs, spread evenly over the dataset [default: all if served, else as many as make 48 MB, at most 24].
         motion: Motion of a head: `own`, `curves`, or a file, as for `srflow rasterize` [default: own if it has one, else curves].
-        seed: Seed of the person and of the random motion, for heads that are made from one.
+        seed: Seed of the person and of the random motion, for built-in heads.
         force: Overwrite the page.
         method: Methods whose flow is shown beside a dataset's: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
-        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
-        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
-        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        set: Network setting that the weights do not store; `srflow models` lists them.
+        precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
-        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
-        scale: Resize the frames by this factor first, and the flow back.
+        scale: Resize the frames by this factor before estimation, and the flow back to full size.
         pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
         levels: Pyramid levels in addition to the full size [default: 5].
         winsize: Side of the averaging window in pixels [default: 13].
@@ -1021,7 +1021,7 @@ def avatar_capture(
     Args:
         out: Folder of the capture.
         head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
-        cameras: Number of cameras, 1 to 16; the front camera, number 8, is always one.
+        cameras: Number of cameras, 1 to 16, always including the front camera, number 8.
         timesteps: Number of timesteps.
         size: Size of the pictures, WIDTHxHEIGHT.
         background: Background colour: white, black, #rrggbb or R,G,B (0 to 255 each).
@@ -1029,7 +1029,7 @@ def avatar_capture(
         calibration_noise: Error of the cameras in transforms.json; 1 is about half a pixel at 550x802.
         landmark_noise: Standard deviation of the landmarks in landmarks.csv, in pixels.
         seed: Random seed of the person, the motion and the noise.
-        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         stop_after: Stop after N pairs, clips or timesteps; the same command continues.
         force: Delete the dataset in the folder and start over.
         callback: Called with progress.
@@ -1053,11 +1053,11 @@ def avatar_import(
 
     Args:
         pictures: Folder of the pictures.
-        pattern: How pictures are named below PICTURES, with {camera} and {timestep}; without an ending, PNG and JPEG.
+        pattern: Names of the pictures below PICTURES, with {camera} and {timestep}; without an extension, PNG and JPEG.
         cameras: File of the cameras, or folder of a COLMAP model.
         out: Folder to write.
-        masks: How masks are named below PICTURES, white where the head is.
-        metres_per_unit: Metres in a unit of the cameras: heads have sizes in metres.
+        masks: Names of the masks below PICTURES, white on the head.
+        metres_per_unit: Metres per unit of the cameras.
         force: Overwrite the lists in the folder.
         callback: Called with progress.
     """
@@ -1087,14 +1087,14 @@ def avatar_fit(
         data: Folder of the capture: transforms.json or transforms_train.json with its cameras, and landmarks.csv.
         model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         out: Folder to write.
-        landmarks: Landmarks: a table as landmarks.csv, or a folder of iBUG's .pts named as the pictures [default: DATA/landmarks.csv].
-        landmarks_of: Landmarks of one camera as written by OpenFace, or by MediaPipe as columns x_0, y_0, ...; may be repeated.
+        landmarks: Landmarks: a table like landmarks.csv, or a folder of iBUG's .pts files named like the pictures [default: DATA/landmarks.csv].
+        landmarks_of: Landmarks of one camera, as OpenFace writes them, or MediaPipe's as columns x_0, y_0, ...; may be repeated.
         cameras: Use only these cameras.
-        noise: Standard deviation of the landmarks' coordinates in pixels [default: estimated].
+        noise: Standard deviation of the landmarks, in pixels [default: estimated].
         identities: Fit at most this many shapes of the identity basis.
         expressions: Fit at most this many shapes of the expression basis.
         seed: Seed of a built-in head.
-        truth: Compare the mesh with that of the true head, which `srflow avatar capture` wrote into this folder; may be DATA itself.
+        truth: Compare the mesh with the true one in this capture of `srflow avatar capture`; may be DATA itself.
         force: Overwrite an earlier fit in the folder.
         callback: Called with progress.
     """
@@ -1129,17 +1129,17 @@ def avatar_train(
         out: Folder of the run, new or empty.
         config: Preset (gaussian-avatars, cpu) or TOML file to start from [default: gaussian-avatars].
         data: Folder of the capture, as VHAP exports it.
-        resume: Continue the run in this folder from its last checkpoint; give DATA and --model if its capture and head model have moved.
+        resume: Continue the run in this folder from its last checkpoint; pass DATA and --model if the capture or head model has moved.
         model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model) [default: the one that head.json of the capture names].
-        subject: Seed of the person, of a built-in head [default: that in head.json of the capture, else 1].
+        subject: Seed of a built-in head [default: that in head.json of the capture, else 1].
         print_config: Print the configuration with every key instead of training, as TOML or JSON.
-        checkpoint_every: Least time between two checkpoints.
-        stop_after: Stop after this iteration, or up to 100 later, with a checkpoint, from which --resume continues.
+        checkpoint_every: Minimum time between two checkpoints.
+        stop_after: Write a checkpoint and stop after this iteration or up to 100 later; --resume continues.
         iterations: Number of iterations, one picture each.
         seed: Random seed.
-        strategy: How Gaussians are added and removed: default (3D Gaussian Splatting), absgs or mcmc.
+        strategy: Strategy that adds and removes Gaussians: default (3D Gaussian Splatting), absgs or mcmc.
         antialiased: Render Gaussians smaller than a pixel antialiased; see docs/guides/rasterize.md.
-        faithful: Keep the defects of GaussianAvatars' code, listed in docs/guides/fit-and-train-avatars.md.
+        faithful: Keep the defects of GaussianAvatars' code, listed in docs/explanation/avatars.md.
         set: Any key of the configuration, e.g. ssim_weight=0.1 or density.until=15000.
         callback: Called with progress.
     """
@@ -1166,17 +1166,17 @@ def avatar_eval(
     """Score a trained avatar on its capture: its pictures, and how exact its flow is.
 
     Args:
-        avatar: Folder of the avatar, or of its training; DIR@HEAD where no head.json names its head model.
-        capture: Folder of the capture that it was trained on.
+        avatar: Folder of the avatar or of its training; DIR@HEAD if it has no head.json.
+        capture: Folder of the avatar's training capture.
         out: Also write eval.json, report.html and pictures into this folder.
         split: Pictures to score: val (held-out camera), test (held-out timesteps), train.
         flow: Also compare the avatar's flow and mesh with the true ones.
         step: Timesteps between the two pictures of a pair.
-        truth: The capture whose head is the true one, if CAPTURE was fitted to its pictures [default: CAPTURE].
-        limit: Score N pictures of each split and N pairs of each split and step, drawn at random, the same in every run.
+        truth: Original capture with the true head, if CAPTURE is a fit of it [default: CAPTURE].
+        limit: Score N random pictures of each split and N random pairs of each split and step, the same in every run.
         background: Colour behind the head in the pictures: white, black, #rrggbb or R,G,B (0 to 255 each) [default: that of the training, if AVATAR is one, else white].
-        faithful: Give cameras no principal point and one focal length, as GaussianAvatars does; on for a training that did.
-        sort_per_pixel: Sort the Gaussians at each pixel; on for a training that did.
+        faithful: Ignore principal points and use one focal length, as GaussianAvatars does; on if the training did.
+        sort_per_pixel: Sort the Gaussians at each pixel; on if the training did.
         force: Overwrite these files.
         callback: Called with progress.
     """
@@ -1235,16 +1235,16 @@ def avatar_export(
     Args:
         output: File to write: .ply, .splat, .spz or .glb.
         head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
-        motion: Motion of the head: `own` (the one that an avatar was trained on), a flame_param.npz or capture of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
+        motion: Motion of the head: `own` (the avatar's training motion), a flame_param.npz or capture of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
         timestep: Timestep of the motion in this frame, from 0.
         action_units: Action units in place of a motion, 0 to 1 each, such as 6=0.5,12_L=1.
-        seed: Seed of the person and of the random motion, for heads that are made from one.
+        seed: Seed of the person and of the random motion, for built-in heads.
         no_mesh: Leave the mesh out of a .glb.
-        animate: Move the mesh of a .glb through this many timesteps of the motion, from --timestep on.
+        animate: Animate the mesh of a .glb over N timesteps, starting at --timestep.
         fps: Timesteps per second of --animate.
         camera: Cameras to write into a .glb: any file that `srflow rasterize --camera` reads.
-        size: Size of the pictures, where CAM does not store one.
-        ply_up: Direction that is up in a .ply: y, as in the world of the head, or -y, as many viewers of .ply expect it.
+        size: Size of the pictures, if CAM does not store it.
+        ply_up: Up direction of the .ply: y, as for srflow's heads, or -y, as many viewers expect.
         force: Overwrite the file.
         callback: Called with progress.
     """
@@ -1265,7 +1265,7 @@ def avatar_units(
     Args:
         model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         seed: Seed of a built-in head.
-        output: Table to write (.json): the weights of expressions and the turns of joints of each unit.
+        output: Table to write (.json): expression weights and joint rotations of each unit.
         force: Overwrite the file.
         callback: Called with progress.
     """
@@ -1293,7 +1293,7 @@ def mer_data(
         apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
         classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
-        only_key_frames: Accept clips that consist of onset, apex and offset frames only.
+        only_key_frames: Accept clips that contain only the onset, apex and offset frames.
         labels_only: Read only the annotations; do not look for frames.
         clips: List every clip.
         callback: Called with progress.
@@ -1332,11 +1332,11 @@ def mer_synth(
         fps: Frames per second.
         intensity: Strength of the expressions; 1 is 12 to 40 % of an action unit's full strength.
         noise: Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness.
-        drift: Head drift; 1 is up to a tenth of a degree and 0.15 mm to either side within a clip.
-        lighting: Illumination changes; 1 is up to 2 % slowly, with a gradient over the face, and 0.3 % of flicker at 100 Hz.
+        drift: Head drift within a clip; 1 is up to 0.1 degrees and 0.15 mm to either side.
+        lighting: Illumination changes; 1 is slow changes of up to 2 %, with a gradient over the face, and 0.3 % flicker at 100 Hz.
         seed: Random seed.
         flow_format: File format of the true flow.
-        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         stop_after: Stop after N pairs, clips or timesteps; the same command continues.
         force: Delete the dataset in the folder and start over.
         callback: Called with progress.
@@ -1404,22 +1404,22 @@ def mer_apex(
         apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
         classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
-        only_key_frames: Accept clips that consist of onset, apex and offset frames only.
-        face: Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats the run without them.
-        face_index: Which face, where several are found: 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or a .whl file, or a folder with its files face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        only_key_frames: Accept clips that contain only the onset, apex and offset frames.
+        face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
+        face_index: Face to use if there are several; 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
-        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
-        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
-        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        set: Network setting that the weights do not store; `srflow models` lists them.
+        precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
-        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
-        scale: Resize the frames by this factor first, and the flow back.
+        scale: Resize the frames by this factor before estimation, and the flow back to full size.
         pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
         levels: Pyramid levels in addition to the full size [default: 5].
         winsize: Side of the averaging window in pixels [default: 13].
@@ -1501,19 +1501,19 @@ def mer_strain(
         viz_max: Strain drawn white [default: the largest].
         method: How to estimate the flow: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; a network followed by its weights, as in raft=FILE; srflow has its own.
         formula: Formula: literature or off-tanet.
-        resize: Resize the frames to 112x112 before the flow is estimated, or the flow after.
+        resize: Resize to 112x112: the frames before estimating the flow, or the flow after.
         size: Size of the result.
         force: Overwrite existing files.
-        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
-        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
-        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        set: Network setting that the weights do not store; `srflow models` lists them.
+        precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
-        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
-        scale: Resize the frames by this factor first, and the flow back.
+        scale: Resize the frames by this factor before estimation, and the flow back to full size.
         pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
         levels: Pyramid levels in addition to the full size [default: 5].
         winsize: Side of the averaging window in pixels [default: 13].
@@ -1601,25 +1601,25 @@ def mer_features(
         apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
         classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
-        only_key_frames: Accept clips that consist of onset, apex and offset frames only.
+        only_key_frames: Accept clips that contain only the onset, apex and offset frames.
         apex: How to spot the apex of clips without one: ratio or strain.
         strain: Formula of the optical strain: literature or off-tanet.
-        resize: Resize the frames to 112x112 before the flow is estimated, or the flow after.
-        face: Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats the run without them.
-        face_index: Which face, where several are found: 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or a .whl file, or a folder with its files face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        resize: Resize to 112x112: the frames before estimating the flow, or the flow after.
+        face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
+        face_index: Face to use if there are several; 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
-        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
-        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
-        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        set: Network setting that the weights do not store; `srflow models` lists them.
+        precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
-        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
-        scale: Resize the frames by this factor first, and the flow back.
+        scale: Resize the frames by this factor before estimation, and the flow back to full size.
         pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
         levels: Pyramid levels in addition to the full size [default: 5].
         winsize: Side of the averaging window in pixels [default: 13].
@@ -1719,37 +1719,37 @@ def mer_run(
         force: Overwrite these files.
         cache: Folder that caches features, for other runs too [default: features in --out].
         epochs: Epochs: passes over the training clips.
-        record_every: Epochs between two recordings of the predictions.
+        record_every: Record the predictions every N epochs.
         batch: Batch size in clips.
         learning_rate: Initial learning rate of Adam; it is multiplied by 0.3 every 60 epochs.
         seed: Seed of the initial parameters, the order of clips and dropout.
-        shard: Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines, `auto/N` where they do not say how many parts there are.
+        shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
         apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
         classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
-        only_key_frames: Accept clips that consist of onset, apex and offset frames only.
+        only_key_frames: Accept clips that contain only the onset, apex and offset frames.
         apex: How to spot the apex of clips without one: ratio or strain.
         strain: Formula of the optical strain: literature or off-tanet.
-        resize: Resize the frames to 112x112 before the flow is estimated, or the flow after.
-        face: Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats the run without them.
-        face_index: Which face, where several are found: 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or a .whl file, or a folder with its files face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        resize: Resize to 112x112: the frames before estimating the flow, or the flow after.
+        face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
+        face_index: Face to use if there are several; 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         rows: Methods with their names and weights: a TOML file, or one of paper-table-2, paper-table-3, paper-table-4, paper-table-6, paper-tables-7-to-10.
-        weights_dir: Folder that the weights of --rows are looked for in.
-        skip_missing: Leave out rows whose weights, or whose networks in this version, are missing, and say so in the table.
-        refine: Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps say otherwise; the other parameters of tvl1 apply as well.
+        weights_dir: Folder with the weights of --rows.
+        skip_missing: Leave out rows whose weights or networks are missing; the table lists them.
+        refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
-        set: Setting that is not stored in the weights, for every network that has it; `srflow models` lists them.
-        precision: What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always.
+        set: Network setting that the weights do not store; `srflow models` lists them.
+        precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
-        tile: Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
-        scale: Resize the frames by this factor first, and the flow back.
+        scale: Resize the frames by this factor before estimation, and the flow back to full size.
         pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
         levels: Pyramid levels in addition to the full size [default: 5].
         winsize: Side of the averaging window in pixels [default: 13].

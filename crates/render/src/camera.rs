@@ -1,7 +1,7 @@
 //! Conversion of cameras to and from their stored form.
 
 use glam::DMat4;
-use srflow_read::manifest::CameraRecord;
+use srflow_data::manifest::CameraRecord;
 use srflow_splat::Camera;
 
 /// The camera as stored in `dataset.json`, pair records and `cam.json`.

@@ -4,27 +4,40 @@ use std::path::{Path, PathBuf};
 
 use srflow_avatar::HeadModelError;
 use srflow_core::SettingError;
+use srflow_data::manifest::ManifestError;
+use srflow_data::micro_expression::MicroExpressionError;
 use srflow_files::FileError;
-use srflow_read::manifest::ManifestError;
-use srflow_read::micro_expression::MicroExpressionError;
 use srflow_splat::RasterizeError;
-
-use crate::record::RecordError;
 
 /// Checks a `size` against the shortest and the longest side, in pixels.
 pub(crate) fn check_size(
     (width, height): (usize, usize),
     sides: RangeInclusive<usize>,
 ) -> Result<(), RenderError> {
-    if sides.contains(&width) && sides.contains(&height) {
-        return Ok(());
+    let (low, high) = (sides.start(), sides.end());
+    let expected = format!("{low}x{low} to {high}x{high} (WIDTHxHEIGHT)");
+    require("size", format!("{width}x{height}"), expected, sides.contains(&width) && sides.contains(&height))
+}
+
+/// Checks that the value of a setting is `fine`.
+pub(crate) fn require(
+    field: &'static str,
+    found: impl ToString,
+    expected: impl Into<String>,
+    fine: bool,
+) -> Result<(), RenderError> {
+    match fine {
+        true => Ok(()),
+        false => Err(SettingError { field, found: found.to_string(), expected: expected.into() }.into()),
     }
-    let (low, high) = sides.into_inner();
-    Err(RenderError::Setting(SettingError {
-        field: "size",
-        found: format!("{width}x{height}"),
-        expected: format!("{low}x{low} to {high}x{high} (WIDTHxHEIGHT)"),
-    }))
+}
+
+/// A record could not be read.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {reason}; delete the file and run `srflow render` again to rewrite it", .path.display())]
+pub struct RecordError {
+    pub path: PathBuf,
+    pub reason: String,
 }
 
 /// Why a dataset could not be rendered or completed.
@@ -36,30 +49,25 @@ pub enum RenderError {
     /// The file or folder of a setting cannot be read.
     #[error("`{field}` {}: {error}; expected {expected}", .path.display())]
     Folder {
-        /// Name of the setting.
         field: &'static str,
         path: PathBuf,
         #[source]
         error: io::Error,
         expected: &'static str,
     },
-    /// The folder has no dataset.
     #[error(
         "{}: expected a dataset of `srflow render`, `srflow shapes` or `srflow mer synth`, found no dataset.json, shapes.json or synth.json; \
          give the folder that one of these commands wrote",
         .0.display()
     )]
     NoDataset(PathBuf),
-    /// The output folder contains other files.
     #[error("{}: the folder is not empty and has no {manifest}; choose a new or empty folder", .path.display())]
     NotADataset { path: PathBuf, manifest: &'static str },
-    /// The output folder contains a dataset with other arguments.
     #[error(
         "{}: the folder has a dataset with {field} {found}, requested is {asked}; use the same arguments to continue it, another folder, or `force` to delete it and start over",
         .path.display()
     )]
     OtherDataset { path: PathBuf, field: String, found: String, asked: String },
-    /// A file of an earlier run cannot be parsed.
     #[error("{}: expected the file as srflow wrote it, found {reason}; restore it from a copy, or choose another folder", .path.display())]
     Malformed { path: PathBuf, reason: String },
     #[error(transparent)]
@@ -76,7 +84,6 @@ pub enum RenderError {
     /// A file outside the units could not be read or written.
     #[error(transparent)]
     File(#[from] FileError),
-    /// A file of a unit could not be written.
     #[error(
         "{error}; {written} of {total} {units} are complete: free some space if the disk is full, and run the same command again to continue"
     )]
@@ -87,7 +94,6 @@ pub enum RenderError {
         total: u64,
         units: &'static str,
     },
-    /// A folder of the dataset could not be created, listed or deleted.
     #[error("{}: {error}; a dataset needs a folder that can be created, read and written", .path.display())]
     Io {
         path: PathBuf,
@@ -99,7 +105,6 @@ pub enum RenderError {
     /// The table of clips could not be written.
     #[error(transparent)]
     Table(#[from] MicroExpressionError),
-    /// The true head of a capture is not known.
     #[error("{}: the true flow is not known: {reason}", .dir.display())]
     NoTruth { dir: PathBuf, reason: String },
     #[error("{frame}: {error}")]

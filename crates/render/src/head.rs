@@ -4,7 +4,7 @@ use glam::DVec3;
 use srflow_avatar::HeadSource;
 
 use crate::RenderError;
-use crate::generate::{fingerprint, list_files};
+use crate::setting_files::{files_at, fingerprint};
 
 /// A point between chin and crown, independent of the subject, metres.
 pub(crate) fn centre(head: &HeadSource) -> DVec3 {
@@ -27,21 +27,8 @@ pub(crate) fn recorded(head: &HeadSource) -> Result<String, RenderError> {
 
 /// Names and sizes of the files of a head that is not made by code.
 fn head_files(head: &HeadSource) -> Result<Vec<(String, u64)>, RenderError> {
-    let mut files = Vec::new();
-    for path in head.paths() {
-        let failed = |error| RenderError::Folder {
-            field: "head",
-            path: path.clone(),
-            error,
-            expected: "the file or folder of a head model, as docs/reference/avatar-files.md describes it",
-        };
-        let metadata = std::fs::metadata(&path).map_err(failed)?;
-        if metadata.is_dir() {
-            files.extend(list_files(&path, "head", "the folder of a head model")?);
-        } else {
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            files.push((name, metadata.len()));
-        }
-    }
-    Ok(files)
+    const EXPECTED: &str =
+        "the file or folder of a head model, as docs/reference/avatar-files.md describes it";
+    let files = head.paths().into_iter().map(|path| files_at(&path, "head", EXPECTED));
+    Ok(files.collect::<Result<Vec<_>, _>>()?.concat())
 }

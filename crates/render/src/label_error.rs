@@ -7,7 +7,7 @@
 use serde::Serialize;
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView};
 use srflow_avatar::{Avatar, HeadPose, PosedHead};
-use srflow_read::region_map::HeadPart;
+use srflow_data::region_map::HeadPart;
 use srflow_splat::{Camera, DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, RasterizeError};
 
 use crate::RenderError;
@@ -126,7 +126,6 @@ pub struct PartError {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LabelError {
     pub pairs: u64,
-    /// The whole head.
     pub head: PartError,
     /// Its parts, whose pixels make up the head's.
     pub skin: PartError,

@@ -10,8 +10,8 @@ use std::sync::{Mutex, PoisonError};
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::Value;
+use srflow_data::manifest::Manifest;
 use srflow_files::{FileError, FileKind, create_folder, read_text, remove_partial, write_atomically};
-use srflow_read::manifest::Manifest;
 
 use crate::RenderError;
 use crate::generate::write_statistics;
@@ -30,7 +30,7 @@ pub struct Request<'a> {
     pub parts: &'a [PathBuf],
     /// Folder of the whole: a new one, or one of an earlier merge, or one of the parts.
     pub out: &'a Path,
-    /// Copy files rather than link them.
+    /// Copy files instead of linking them.
     pub copy: bool,
     /// Merge although units are missing.
     pub partial: bool,
@@ -66,28 +66,24 @@ pub struct Merged {
 pub enum MergeError {
     #[error("expected the folders of at least one part, found none")]
     NoPart,
-    /// A folder is not of a dataset that can be merged.
     #[error(
         "{}: expected a part of a dataset of `srflow render`, `srflow shapes` or `srflow mer synth`, found no dataset.json, \
-         shapes.json or synth.json; give the folders that these commands wrote with --shard",
+         shapes.json or synth.json; give the folders that these commands wrote with `shard`",
         .0.display()
     )]
     NotAPart(PathBuf),
-    /// Two parts are of different datasets.
     #[error(
         "{}: {field} is {found}, in {} it is {expected}; parts of one dataset have the same arguments, seed and version of srflow",
         .part.display(), .first.display()
     )]
     OtherDataset { part: PathBuf, field: String, found: String, first: PathBuf, expected: String },
-    /// Parts have different files of one name.
     #[error(
         "{} and {} have different bytes; one of them is damaged or of another machine's program: `sha256sum` and `srflow check` tell more",
         .0.display(), .1.display()
     )]
     Differing(PathBuf, PathBuf),
-    /// Units are missing.
     #[error(
-        "{missing} of {units} {kind} are in none of the {parts} parts, such as {}; run the commands of their parts again, or merge with --partial",
+        "{missing} of {units} {kind} are in none of the {parts} parts, such as {}; run the commands of their parts again, or set `partial`",
         .names.join(", ")
     )]
     Missing { missing: u64, units: u64, kind: &'static str, parts: usize, names: Vec<String> },

@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 use srflow_avatar::capture::Capture;
 use srflow_avatar::{HeadModel, HeadPose, ShapedHead, TriangleFrame};
-use srflow_read::region_map::HeadPart;
+use srflow_data::region_map::HeadPart;
 
 use crate::capture::TrueCapture;
 use crate::parts::part_of;

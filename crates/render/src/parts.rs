@@ -2,7 +2,7 @@
 
 use srflow_avatar::{Avatar, Region};
 use srflow_core::Plane;
-use srflow_read::region_map::HeadPart;
+use srflow_data::region_map::HeadPart;
 use srflow_splat::{Camera, DeviceRasterizer, Frame, Gaussians, Options, Outputs, RasterizeError, SH_0};
 
 /// Parts are rendered in the three channels of a colour, this many times. Skin has none: its weight is what the others leave of

@@ -1,22 +1,20 @@
 //! The record of a pair of frames: one small JSON file each.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use srflow_files::{FileKind, read_text};
 
-use crate::RenderError;
+use crate::error::{RecordError, RenderError};
 use crate::statistics::FlowSummary;
-use srflow_read::manifest::CameraRecord;
+use srflow_data::manifest::CameraRecord;
 
 /// The contents of `pairs/SCENE/NNNNN.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairRecord {
-    /// The first frame.
     pub frame1: FrameRecord,
-    /// The second frame.
     pub frame2: FrameRecord,
     /// Forward flow on the head in frame 1.
     pub flow: FlowSummary,
@@ -60,14 +58,6 @@ pub(crate) fn read_record<T: DeserializeOwned>(path: &Path) -> Result<T, RenderE
         path: path.to_owned(),
         reason: srflow_files::parse_error_in_words(&error),
     })
-}
-
-/// A record could not be read.
-#[derive(Debug, thiserror::Error)]
-#[error("{}: {reason}; delete the file and run `srflow render` again to rewrite it", .path.display())]
-pub struct RecordError {
-    pub path: PathBuf,
-    pub reason: String,
 }
 
 impl PairRecord {

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use srflow_core::{FlowField, Mask};
 
-use srflow_read::manifest::{Manifest, SceneSplit};
+use srflow_data::manifest::{Manifest, SceneSplit};
 
 /// Bins of the histogram: below 1/16 px, then one for each power of two up to 128 px, and above.
 pub const BINS: usize = 13;
@@ -77,7 +77,6 @@ fn bin_of_square(square: f32) -> usize {
 /// The contents of `statistics.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Statistics {
-    /// Number of scenes.
     pub scenes: usize,
     /// Mean number of frame pairs per scene, "Avg. Frames" in the paper's Table I.
     pub average_frames: f64,
@@ -99,13 +98,10 @@ pub struct Statistics {
     pub flow: FlowSummary,
 }
 
-/// Size of one split.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SplitStatistics {
     pub split: SceneSplit,
-    /// Number of scenes.
     pub scenes: usize,
-    /// Number of pairs.
     pub pairs: u64,
 }
 

@@ -6,12 +6,12 @@ use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
-use srflow_read::manifest::Manifest;
+use srflow_data::manifest::Manifest;
 use srflow_render::check::{CheckReport, Problem, Rerendered, check, check_hashes, check_rerendered};
 
 use crate::clap::Args;
-use crate::render::write_statistics;
 use crate::output::write_line;
+use crate::render::write_statistics;
 use crate::{Job, Report, Watch};
 
 /// Open every file of a dataset and report problems
@@ -29,11 +29,11 @@ pub struct CheckJob {
     /// Folder of a dataset written by `srflow render`; with --hashes also by `srflow shapes` or `srflow mer synth`
     #[arg(value_name = "DIR")]
     pub dir: PathBuf,
-    /// Compare every file with its hash in SHA256SUMS instead, as `sha256sum -c SHA256SUMS` does
+    /// Only compare every file with its hash, as `sha256sum -c SHA256SUMS` does
     #[arg(long)]
     #[serde(default)]
     pub hashes: bool,
-    /// Render N random pairs again instead, and compare the bytes of their files; for datasets that need no other files
+    /// Only render N random pairs again and compare bytes; for datasets that need no other files
     #[arg(long, value_name = "N")]
     #[serde(default)]
     pub rerender: Option<NonZeroU64>,

@@ -46,8 +46,8 @@ pub struct ConvertJob {
     #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = positive)]
     #[serde(default)]
     pub max: Option<f32>,
-    /// Direction that is up in a .ply of Gaussians, which does not say so: y, as for heads of srflow, or -y,
-    /// as for most scenes that were reconstructed from photographs
+    /// Up direction of a .ply of Gaussians, which does not store it: y, as for srflow's heads, or -y, as for
+    /// most scenes from photographs
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true, default_value_t)]
     #[serde(default)]
     pub ply_up: Up,

@@ -41,7 +41,7 @@ pub struct TimeNetworkJob {
     #[arg(long, value_name = "FILE")]
     #[serde(default)]
     pub weights: Option<PathBuf>,
-    /// What the network multiplies on the device; on the CPU, with --against-cpu, f32
+    /// Numbers that the network multiplies on the device; with --against-cpu, the CPU uses f32
     #[arg(long, value_name = "PRECISION", default_value_t)]
     #[serde(default)]
     pub precision: PrecisionArg,
@@ -67,7 +67,7 @@ pub struct Timing {
     /// Size of the frames, WIDTHxHEIGHT
     #[arg(long, value_name = "SIZE", default_value_t = Self::default().size)]
     pub size: Size,
-    /// How often; the first time includes the compilation of kernels
+    /// Number of runs; the first includes the compilation of kernels
     #[arg(long, value_name = "N", default_value_t = Self::default().repeats, value_parser = clap::value_parser!(u32).range(1..=MOST_REPEATS))]
     pub repeats: u32,
     /// Also compute on the CPU, and print the differences

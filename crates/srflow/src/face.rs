@@ -7,11 +7,11 @@ use crate::clap::Args;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_core::Image;
+use srflow_data::micro_expression::Clip;
 use srflow_face::{
     FaceBox, FaceFinder, FacePoints, FrameCrop, LandmarkTable, MODEL_SOURCES, write_landmarks,
 };
 use srflow_mer::{FaceCrop, Landmarks};
-use srflow_read::micro_expression::Clip;
 
 use crate::Watch;
 use crate::error::wrong_settings;
@@ -23,14 +23,14 @@ pub const FACE_MODELS_VARIABLE: &str = "SRFLOW_FACE_MODELS";
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct FaceArgs {
-    /// Find the face with MediaPipe's networks, and write its landmarks beside the results: `--landmarks` with that file repeats
-    /// the run without them
+    /// Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file
+    /// to `--landmarks` to repeat the run without the networks
     #[arg(long, value_name = "detect", value_parser = ["detect"], conflicts_with_all = ["face_box", "landmarks"])]
     face: Option<String>,
-    /// Which face, where several are found: 1 is the leftmost
+    /// Face to use if there are several; 1 is the leftmost
     #[arg(long, value_name = "N", requires = "face", value_parser = clap::value_parser!(u16).range(1..))]
     face_index: Option<u16>,
-    /// MediaPipe's package, as a folder or a .whl file, or a folder with its files face_detection_short_range.tflite and
+    /// MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and
     /// face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed]
     #[arg(long, value_name = "PATH", requires = "face")]
     face_models: Option<PathBuf>,

@@ -7,10 +7,10 @@ use std::str::FromStr;
 use anyhow::{Context as _, bail, ensure};
 use serde::{Deserialize, Serialize};
 use srflow_core::{FlowField, Mask, SettingError, Size, excerpt, excerpts, serialize_as_text};
+use srflow_data::flow::{DatasetSpec, FlowDataset, Split};
 use srflow_eval::{Window, head_window, spread};
 use srflow_figure::{Composed, Ends, Figure, Pair, Plan, Scales, Style, check_text, resolve};
 use srflow_files::{create_folder, read_flow, read_image, write_file, write_image_png};
-use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 
 pub use srflow_figure::{Column, Length, Scale};
 
@@ -81,11 +81,12 @@ pub struct FigureJob {
     /// Columns: see below [default: truth+frame1 flow+error; without truth: frame1 frame2 flow]
     #[arg(long, value_name = "COLUMN", num_args = 1.., value_delimiter = ',')]
     pub columns: Vec<Column>,
-    /// Show this part of the frames: around the head (without a mask, in the middle), or from column X and row Y. Flow is estimated
-    /// on whole frames; scores and scales are those of the part
+    /// Show only this part of the frames: around the head (without a mask, in the middle), or from column X
+    /// and row Y. Flow is estimated on whole frames; scores and scales are of the part
     #[arg(long, value_name = "[X,Y,]WIDTHxHEIGHT")]
     pub crop: Option<Crop>,
-    /// Flow with full colour, in pixels: a number, `auto` (one scale for the figure), or `pair` (one for each pair)
+    /// Flow length of full colour, in pixels: a number, `auto` (one scale for the figure) or `pair` (one for
+    /// each pair)
     #[arg(
         long,
         value_name = "PIXELS",
@@ -136,10 +137,10 @@ pub struct FigureJob {
     /// Width of the figure, in mm, cm, in, pt or bp (those of LaTeX), such as 252pt
     #[arg(long, value_name = "LENGTH", default_value_t = Self::default().width, help_heading = "Page")]
     pub width: Length,
-    /// Most columns in a row; more continue in another row
+    /// Maximum number of columns in a row; further columns start another row
     #[arg(long, value_name = "N", default_value_t = Self::default().max_columns, help_heading = "Page")]
     pub max_columns: u16,
-    /// Resolution that pictures are averaged down to where they have more pixels, in pixels per inch
+    /// Maximum resolution of pictures, in pixels per inch; finer pictures are averaged down
     #[arg(long, value_name = "N", default_value_t = Self::default().dpi, help_heading = "Page")]
     pub dpi: u16,
     /// Overwrite these files

@@ -25,14 +25,14 @@ const CLASSICAL_ALIGNMENT: usize = 8;
 #[serde(default)]
 #[command(next_help_heading = "Large frames")]
 pub struct LargeFrames {
-    /// Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if
-    /// the whole frame fits
+    /// Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory,
+    /// or none if the whole frame fits
     #[arg(long, value_name = "WIDTHxHEIGHT|auto")]
     tile: Option<Tile>,
     /// Overlap of neighbouring tiles in pixels, up to half a tile
     #[arg(long, value_name = "PIXELS", default_value_t = Self::default().tile_overlap, requires = "tile", value_parser = overlap)]
     tile_overlap: usize,
-    /// Resize the frames by this factor first, and the flow back
+    /// Resize the frames by this factor before estimation, and the flow back to full size
     #[arg(long, value_name = "FACTOR", value_parser = factor)]
     pub scale: Option<f64>,
 }

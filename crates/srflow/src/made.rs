@@ -5,14 +5,14 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value, json};
 use srflow_avatar::HeadSource;
 use srflow_core::SettingError;
+use srflow_data::flow::{MadeError, MadePairs};
 use srflow_files::parse_error_in_words;
-use srflow_read::flow::{MadeError, MadePairs};
 use srflow_render::RenderError;
 use srflow_render::generate::{ScenePairs, Settings};
 use srflow_render::shapes::{ShapePairs, ShapesSettings};
 use srflow_train::config::{Config, MadeKind, MadeSpec, RenderedConfig, ShapesConfig};
 
-/// Opens `shapes:` and `rendered:`; see [`srflow_train::training_set::OpenMade`].
+/// Opens `shapes:` and `rendered:`; see [`srflow_train::OpenMade`].
 pub fn open_made(spec: &MadeSpec, config: &Config) -> Result<Box<dyn MadePairs>, MadeError> {
     Ok(match spec.kind {
         MadeKind::Shapes => {

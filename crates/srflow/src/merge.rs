@@ -27,15 +27,14 @@ pub struct MergeJob {
     /// Folders of the parts
     #[arg(required = true, value_name = "PART")]
     pub parts: Vec<PathBuf>,
-    /// Folder of the whole dataset: a new one, one of an earlier merge, or one of the parts
+    /// Folder of the whole dataset: new, from an earlier merge, or one of the parts
     #[arg(short, long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Copy files rather than link them
+    /// Copy files instead of linking them
     #[arg(long)]
     #[serde(default)]
     pub copy: bool,
-    /// Merge although pairs or clips are missing; the dataset is complete when a later merge, or the command that made the
-    /// parts, adds them
+    /// Merge even if pairs or clips are missing; a later merge can add them
     #[arg(long)]
     #[serde(default)]
     pub partial: bool,

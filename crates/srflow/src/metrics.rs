@@ -33,7 +33,7 @@ pub struct MetricsJob {
     #[arg(value_name = "GT", required_unless_present = "regularizers")]
     #[serde(default)]
     pub truth: Option<PathBuf>,
-    /// Mask: score only pixels where this image is over 127; for the regularizers, the head
+    /// Mask: score only pixels above 127; for the regularizers, the head
     #[arg(long, value_name = "M.png")]
     #[serde(default)]
     pub mask: Option<PathBuf>,
@@ -45,7 +45,7 @@ pub struct MetricsJob {
     #[arg(long, value_name = "FRAME1", requires = "regularizers")]
     #[serde(default)]
     pub image: Option<PathBuf>,
-    /// Value of a white pixel of FRAME1 when MIGAR and IGVAR take its gradients
+    /// Value of a white pixel of FRAME1 for the gradients of MIGAR and IGVAR
     #[arg(long, value_name = "VALUE", default_value_t = white(), requires = "regularizers")]
     #[serde(default = "white")]
     pub image_max: f64,

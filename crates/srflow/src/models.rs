@@ -55,23 +55,22 @@ pub struct InspectJob {
   srflow models export raft-things -o raft.onnx --iters 12
   srflow models export srflow -o srflow.onnx --size 640x480")]
 pub struct ExportJob {
-    /// Weights of one of the networks: a file, the name of published weights, such as skflow-things, or the
-    /// name of a network whose weights come with srflow
+    /// Weights: a file, the name of published weights, such as skflow-things, or the name of a built-in
+    /// network
     #[arg(value_name = "FILE|NAME")]
     pub weights: String,
     /// File to write: .ckpt, .pt or .pth (PyTorch), .safetensors, or .onnx
     #[arg(short, long, value_name = "FILE")]
     pub out: PathBuf,
-    /// Store 16-bit numbers, rounded to the nearest, in half of the bytes; for .safetensors
+    /// Store 16-bit numbers, in half the bytes; for .safetensors
     #[arg(long)]
     #[serde(default)]
     pub half: bool,
-    /// Refinement iterations, each of which is in the file; for .onnx [default: the network's own, see
-    /// `srflow models`]
+    /// Refinement iterations, fixed in the file; for .onnx [default: the network's own, see `srflow models`]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MOST_ITERATIONS))]
     #[serde(default)]
     pub iters: Option<u16>,
-    /// The one size of the frames that the file takes, WIDTHxHEIGHT; for .onnx [default: it takes any size]
+    /// Accept only frames of this size, WIDTHxHEIGHT; for .onnx [default: it takes any size]
     #[arg(long, value_name = "SIZE")]
     #[serde(default)]
     pub size: Option<Size>,

@@ -37,12 +37,13 @@ pub struct NetworkArgs {
     pub weights: Option<String>,
     #[arg(long, value_name = "N|auto[:PX]", help = iterations_help())]
     iters: Option<Iterations>,
-    /// Setting that is not stored in the weights, for every network that has it; `srflow models` lists them
+    /// Network setting that the weights do not store; `srflow models` lists them
     #[arg(long, value_name = "NAME=VALUE", value_parser = setting)]
     #[serde(with = "pairs")]
     set: Vec<(String, usize)>,
-    /// What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where
-    /// it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always
+    /// Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units
+    /// for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums,
+    /// softmax, norms and flow are always f32
     #[arg(long, value_name = "PRECISION", default_value_t)]
     precision: PrecisionArg,
     /// Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example

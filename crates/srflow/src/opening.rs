@@ -1,6 +1,6 @@
 //! Opening datasets that may have millions of pairs.
 
-use srflow_read::flow::{DatasetError, DatasetSpec, FlowDataset, Split};
+use srflow_data::flow::{DatasetError, DatasetSpec, FlowDataset, Split};
 
 use crate::Watch;
 

@@ -6,9 +6,10 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, json};
-use srflow_read::packed::{PackEvent, PackReport, PackRequest, PackSettings, pack};
+use srflow_data::pack_source;
+use srflow_pack::{PackEvent, PackReport, PackRequest, PackSettings, pack};
 
-pub use srflow_read::packed::{PackedFlow, TarSize};
+pub use srflow_pack::{PackedFlow, TarSize};
 
 use crate::clap::Args;
 use crate::output::{ensure_folder, write_line};
@@ -77,15 +78,15 @@ impl Job for PackJob {
                 facts: Map::from_iter([("bytes".to_owned(), json!(bytes))]),
             });
         };
+        let source = pack_source(&self.dir)?;
         let request = PackRequest {
-            dir: &self.dir,
             out: &self.out,
             force: self.force,
             stop_after: self.stop_after,
             stop: watch.stop,
             on_event: &on_event,
         };
-        let report = pack(self.settings, &request)?;
+        let report = pack(&source, self.settings, &request)?;
         Ok(Packed { packed_dataset: self.out.clone(), report })
     }
 }
@@ -112,6 +113,10 @@ impl fmt::Display for Packed {
             f,
             "{packed} of {pairs} pairs packed; {tars} tars, {gigabytes:.3} GB, flow within {flow_error:.2e} px"
         )?;
-        if stopped { Ok(()) } else { write_line(f, format_args!("read it with wds:{}", self.packed_dataset.display())) }
+        if stopped {
+            Ok(())
+        } else {
+            write_line(f, format_args!("read it with wds:{}", self.packed_dataset.display()))
+        }
     }
 }

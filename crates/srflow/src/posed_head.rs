@@ -28,8 +28,9 @@ pub struct HeadArgs {
     /// Head, instead of a file of Gaussians
     #[arg(long, value_name = "HEAD", help = head_help())]
     pub head: Option<HeadSource>,
-    /// Motion of the head: `own` (the one that an avatar was trained on), a flame_param.npz or capture of another subject with the
-    /// same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves]
+    /// Motion of the head: `own` (the avatar's training motion), a flame_param.npz or capture of another
+    /// subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second)
+    /// [default: own if it has one, else curves]
     #[arg(long, value_name = "MOTION", requires = "head")]
     pub motion: Option<MotionSource>,
     /// Timestep of the motion in this frame, from 0
@@ -38,7 +39,7 @@ pub struct HeadArgs {
     /// Action units in place of a motion, 0 to 1 each, such as 6=0.5,12_L=1
     #[arg(long, value_name = "UNITS", requires = "head", conflicts_with_all = ["motion", "timestep"])]
     pub action_units: Option<ActionUnits>,
-    /// Seed of the person and of the random motion, for heads that are made from one
+    /// Seed of the person and of the random motion, for built-in heads
     #[arg(long, value_name = "N", requires = "head", default_value_t = Self::default().seed)]
     pub seed: u64,
 }

@@ -33,7 +33,8 @@ pub struct RenderJob {
     /// Folder of the dataset
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Defaults of other settings: `wild` is a procedural background, mixed motion and every effect of a recording
+    /// Defaults of other settings: `wild` combines a procedural background, mixed motion and every effect of
+    /// a recording
     #[arg(long, value_name = "NAME")]
     #[serde(default)]
     pub preset: Option<Preset>,

@@ -20,8 +20,8 @@ use crate::watch::Progress;
 #[derive(Args, Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ShardArgs {
-    /// Do only part I of N; `auto` takes the part of this process from the variables of Slurm, Kubernetes and other job engines,
-    /// `auto/N` where they do not say how many parts there are
+    /// Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines,
+    /// `auto/N` only I, as for Kubernetes and PBS
     #[arg(long, value_name = "I/N|auto", default_value_t, hide_default_value = true)]
     shard: ShardChoice,
 }

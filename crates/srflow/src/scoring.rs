@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use srflow_data::flow::FlowDataset;
 use srflow_eval::{Evaluation, Event, Method, ScoredPair, Settings, evaluate};
 use srflow_files::{create_folder, write_flow};
-use srflow_read::flow::FlowDataset;
 
 use crate::Watch;
 

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use srflow_render::shapes::{ShapesReport, ShapesSettings, shapes};
 
 use crate::clap::Args;
+use crate::output::write_line;
 use crate::rendering::{Rendered, RenderingArgs};
 use crate::{Job, Report, Watch, WhenStopped};
 

@@ -7,13 +7,13 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use srflow_core::Size;
-use srflow_files::{Preset, write_file};
+use srflow_files::{Preset, RunMode, read_run_log, write_file};
 use srflow_ops::device;
 use srflow_train::checkpoint::Best;
 use srflow_train::config::{Config, PRESETS};
 use srflow_train::ranks::{Alone, Communicator};
-use srflow_train::training_log::{Record, StepRecord, read_log};
-use srflow_train::{Event, Outcome, RunMode, Start, Training, config_of_run, report};
+use srflow_train::training_log::{Record, StepRecord};
+use srflow_train::{Event, Outcome, Start, Training, config_of_run, report};
 
 use crate::clap::Args;
 use crate::error::wrong_settings;
@@ -50,13 +50,13 @@ pub struct TrainJob {
     /// Print the configuration with every key instead of training, as TOML or JSON
     #[arg(long)]
     pub print_config: bool,
-    /// Stop after this step with a checkpoint, from which `resume` continues
+    /// Write a checkpoint and stop after this step; `resume` continues
     #[arg(long, value_name = "N")]
     pub stop_after_step: Option<u64>,
     /// Device to train on; several devices share each batch
     #[arg(long, value_name = "DEVICE", default_values_t = default_device())]
     pub device: Vec<String>,
-    /// Share every batch with the other processes that `mpirun` or `srun` has started
+    /// Share every batch with the other processes of `mpirun` or `srun`
     #[arg(long)]
     pub mpi: bool,
     #[command(flatten)]
@@ -69,7 +69,8 @@ pub struct TrainJob {
 #[serde(default)]
 #[command(next_help_heading = "Overriding the configuration")]
 pub struct Overrides {
-    /// Training dataset, KIND:DIR; several for a mix, KIND:DIR*TIMES; `shapes:` and `rendered:` make pairs while training
+    /// Training dataset, KIND:DIR or KIND:DIR*TIMES; several are mixed; `shapes:` and `rendered:` generate
+    /// pairs during training
     #[arg(long, value_name = "KIND:DIR")]
     pub data: Vec<String>,
     /// Validation dataset [default: the val split of the training data]
@@ -244,7 +245,7 @@ impl TrainJob {
         let mut steps = Steps::new(watch);
         let outcome = training.until(&stop, &mut |event| steps.report(&event))?;
         if !outcome.stopped && communicator.rank() == 0 {
-            let page = report(&config, &read_log(&out)?, &machine::describe()).html();
+            let page = report(&config, &read_run_log(&out)?, &machine::describe()).html();
             write_file(&out.join("report.html"), page)?;
         }
         Ok(TrainReport::Trained(Trained::new(out, &outcome)))
@@ -380,7 +381,10 @@ impl fmt::Display for Trained {
         let weights = weights.display();
         match best {
             Some(Best { step, epe }) => {
-                write_line(f, format_args!("Best              EPE {epe:.4} px after step {step}: {weights}"))?;
+                write_line(
+                    f,
+                    format_args!("Best              EPE {epe:.4} px after step {step}: {weights}"),
+                )?;
             }
             None => {
                 write_line(f, format_args!("Weights           {weights}"))?;
@@ -388,7 +392,10 @@ impl fmt::Display for Trained {
             }
         }
         if *stopped {
-            write_line(f, format_args!("Stopped on request; srflow train --resume {} continues", run.display()))?;
+            write_line(
+                f,
+                format_args!("Stopped on request; srflow train --resume {} continues", run.display()),
+            )?;
         }
         Ok(())
     }

@@ -8,9 +8,9 @@ use anyhow::{Context as _, anyhow, bail, ensure};
 use serde::{Deserialize, Deserializer, Serialize};
 use srflow_avatar::HeadSource;
 use srflow_core::{FlowField, Mask, score};
+use srflow_data::flow::{DatasetSpec, Entry, FlowDataset, Split, flow_files};
 use srflow_eval::spread;
 use srflow_files::{FileKind, FlowFormat, parse_error_in_words, read_flow, read_text, write_file};
-use srflow_read::flow::{DatasetSpec, Entry, FlowDataset, Split, flow_files};
 use srflow_render::generate::MotionSource;
 use srflow_splat::{SplatFormat, Up, read_gaussians};
 use srflow_view::{Answer, Pack, Page, Server, ViewedFlow, ViewedPair};
@@ -52,8 +52,8 @@ pub struct ViewJob {
     #[arg(short, long, value_name = "HTML")]
     #[serde(default)]
     pub output: Option<PathBuf>,
-    /// Serve the page on this machine instead of writing it, and load pairs on demand; on this port, or any free one if none or
-    /// 0 is given
+    /// Serve the page on this machine instead of writing it, and load pairs on demand; without PORT, or with
+    /// 0, on any free port
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", conflicts_with = "output")]
     #[serde(default, deserialize_with = "port")]
     pub serve: Option<u16>,
@@ -69,7 +69,7 @@ pub struct ViewJob {
     #[arg(long, value_name = "MOTION")]
     #[serde(default)]
     pub motion: Option<MotionSource>,
-    /// Seed of the person and of the random motion, for heads that are made from one
+    /// Seed of the person and of the random motion, for built-in heads
     #[arg(long, value_name = "N", default_value_t = one())]
     #[serde(default = "one")]
     pub seed: u64,
@@ -181,9 +181,10 @@ impl Report for Viewed {
 impl fmt::Display for Viewed {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
-            Self::Written(Written { page, bytes }) => {
-                write_line(f, format_args!("{} ({:.1} MB): open it in a browser", page.display(), *bytes as f64 / 1e6))
-            }
+            Self::Written(Written { page, bytes }) => write_line(
+                f,
+                format_args!("{} ({:.1} MB): open it in a browser", page.display(), *bytes as f64 / 1e6),
+            ),
             Self::Served(served) => writeln!(f, "{}: open it in a browser; Ctrl-C ends", served.url),
         }
     }

@@ -8,20 +8,23 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 use srflow_core::Metrics;
+use srflow_data::flow::FlowDataset;
 use srflow_eval::{
     Column, Region, Row, SCORES, ScoreColumn, Table, dataset_title, improvement_columns, improvement_percent,
     score_columns,
 };
-use srflow_files::{FileKind, parse_error_in_words, read_text, write_file};
-use srflow_read::flow::FlowDataset;
+use srflow_files::{FileKind, RunMode, parse_error_in_words, read_text, write_file};
+use srflow_nets::load_network;
 
 use crate::checkpoint::Checkpoints;
 use crate::config::{Config, Source};
+use crate::error::TrainError;
 use crate::loss::{MaskReading, REGULARIZERS, Regularizer};
+use crate::made::OpenMade;
 use crate::ranks::Alone;
-use crate::run::{Event, RunMode, TrainError, Training};
-use crate::training_set::OpenMade;
-use crate::validation::score_weights;
+use crate::run::{Event, Training};
+use crate::training_log::ValidationRecord;
+use crate::validation::Validation;
 
 /// A row of the table.
 #[derive(Debug, Clone, PartialEq)]
@@ -99,7 +102,6 @@ pub struct Cell {
 pub struct TestScores {
     /// Kind and split.
     pub dataset: String,
-    /// Folder of the dataset.
     pub folder: PathBuf,
     pub pairs: usize,
     /// Over all pixels with a known flow.
@@ -165,7 +167,6 @@ impl AblationSettings {
     }
 }
 
-/// Errors that end an ablation.
 #[derive(Debug, thiserror::Error)]
 pub enum AblationError {
     #[error("{run}: {error}")]
@@ -461,6 +462,19 @@ fn deviation(values: &[f64]) -> Option<f64> {
     let mean = mean(values).filter(|_| values.len() > 1)?;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
     Some((squares / (values.len() - 1) as f64).sqrt())
+}
+
+/// Scores the weights in a file on `dataset` with the validation settings of `config`.
+fn score_weights(
+    config: &Config,
+    device: &Device,
+    weights: &Path,
+    dataset: &FlowDataset,
+) -> Result<ValidationRecord, TrainError> {
+    let validation = Validation::of(config, vec![dataset.clone()]);
+    let network = config.network.with_settings(load_network(config.network.architecture, weights, device)?);
+    let scores = validation.score(network, device)?;
+    Ok(scores.into_iter().next().expect("one dataset was scored"))
 }
 
 #[cfg(test)]

@@ -10,7 +10,6 @@ use crate::training_set::TrainingSample;
 /// A batch in host memory, NCHW.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Batch {
-    /// Names of the samples.
     pub names: Vec<String>,
     /// Height and width of all samples.
     pub size: [usize; 2],

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use burn::tensor::DType;
 use serde::{Deserialize, Serialize};
 use srflow_files::{
-    FileError, FileKind, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text, remove_partial,
-    write_file,
+    FileError, FileKind, FileProblem, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text,
+    remove_partial, write_file,
 };
 use srflow_nn::{About, AdamWState, Layout, StoredAs, WeightsError, read_safetensors, safetensors_bytes};
 
@@ -26,7 +26,6 @@ const UNFINISHED: &str = ".step-";
 /// Prefixes of the tensors of AdamW's two averages.
 const AVERAGES: [&str; 2] = ["mean.", "square."];
 
-/// Progress of a run.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Progress {
@@ -53,7 +52,6 @@ pub struct Best {
     pub epe: f64,
 }
 
-/// The contents of a checkpoint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checkpoint {
     pub progress: Progress,
@@ -86,13 +84,6 @@ fn is_alone(ranks: &usize) -> bool {
 /// Errors of reading and writing checkpoints.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    #[error("{}: {doing}: {error}", .path.display())]
-    Io {
-        path: PathBuf,
-        doing: &'static str,
-        #[source]
-        error: std::io::Error,
-    },
     #[error(transparent)]
     File(#[from] FileError),
     #[error("{}: {reason}; delete this checkpoint's folder to continue from the one before", .path.display())]
@@ -103,7 +94,6 @@ pub enum CheckpointError {
     None { folder: PathBuf },
 }
 
-/// The checkpoints of a run.
 pub struct Checkpoints {
     run: PathBuf,
     folder: PathBuf,
@@ -174,19 +164,16 @@ impl Checkpoints {
     }
 
     /// Writes files into the folder `partial`, then renames it to `path`.
-    fn write_folder(
-        &self,
-        partial: &Path,
-        path: &Path,
-        files: &[(&str, &Vec<u8>)],
-    ) -> Result<(), CheckpointError> {
+    fn write_folder(&self, partial: &Path, path: &Path, files: &[(&str, &Vec<u8>)]) -> Result<(), FileError> {
         remove_folder(partial)?;
         create_folder(partial)?;
         for (name, bytes) in files {
             write_file(&partial.join(name), bytes)?;
         }
         remove_folder(path)?;
-        fs::rename(partial, path).map_err(io_error(path, "renaming the finished checkpoint"))
+        let failed =
+            |error| FileProblem::Io { doing: "renaming the finished checkpoint", error }.in_file(path);
+        fs::rename(partial, path).map_err(failed)
     }
 
     /// Writes `best.safetensors` into the run's folder.
@@ -263,21 +250,15 @@ impl Checkpoints {
     }
 }
 
-fn names(folder: &Path) -> Result<Vec<String>, CheckpointError> {
-    let failed = io_error(folder, "listing the folder");
-    let entries = fs::read_dir(folder).map_err(&failed)?;
-    entries.map(|entry| Ok(entry.map_err(&failed)?.file_name().to_string_lossy().into_owned())).collect()
+fn names(folder: &Path) -> Result<Vec<String>, FileError> {
+    let failed = |error| FileProblem::Io { doing: "listing the folder", error }.in_file(folder);
+    let entries = fs::read_dir(folder).map_err(failed)?;
+    entries.map(|entry| Ok(entry.map_err(failed)?.file_name().to_string_lossy().into_owned())).collect()
 }
 
-fn io_error<'a>(path: &'a Path, doing: &'static str) -> impl Fn(std::io::Error) -> CheckpointError + 'a {
-    move |error| CheckpointError::Io { path: path.to_owned(), doing, error }
-}
-
-fn remove_folder(path: &Path) -> Result<(), CheckpointError> {
-    if path.exists() {
-        fs::remove_dir_all(path).map_err(io_error(path, "removing the folder"))?;
-    }
-    Ok(())
+fn remove_folder(path: &Path) -> Result<(), FileError> {
+    let failed = |error| FileProblem::Io { doing: "removing the folder", error }.in_file(path);
+    if path.exists() { fs::remove_dir_all(path).map_err(failed) } else { Ok(()) }
 }
 
 fn read_state(checkpoint: &Path) -> Result<StateFile, CheckpointError> {
@@ -300,7 +281,7 @@ fn read_tensors(
     let broken = |reason: String| CheckpointError::Broken { path: path.to_owned(), reason };
     let mut found = read_safetensors(path).map_err(|error| match error {
         WeightsError::File(error) => error.into(),
-        WeightsError::Read { error, .. } => io_error(path, "reading")(error),
+        WeightsError::Read { error, .. } => FileProblem::reading(error).in_file(path).into(),
         WeightsError::Broken { problem, .. } => {
             broken(format!("expected a whole safetensors file, but {problem}"))
         }

@@ -5,10 +5,13 @@ pub mod augment;
 pub mod batch;
 pub mod checkpoint;
 pub mod config;
+mod data_error;
+mod error;
 pub mod loss;
 mod made;
 #[cfg(feature = "mpi")]
 pub mod mpi;
+mod pass;
 mod prefetch;
 pub mod ranks;
 mod recompute;
@@ -21,6 +24,10 @@ pub mod training_log;
 pub mod training_set;
 mod validation;
 
+pub use data_error::DataError;
+pub use error::TrainError;
+pub use made::{OpenMade, only_files};
+pub use pass::{BatchLosses, Pass, PassSettings};
 pub use report::report;
-pub use run::{Event, Outcome, RunMode, Start, TrainError, Training, config_of_run, train};
+pub use run::{Event, Outcome, Start, Training, config_of_run, train};
 pub use validation::ValidationError;

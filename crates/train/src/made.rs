@@ -3,10 +3,10 @@
 use rayon::ThreadPool;
 use srflow_core::random::Key;
 use srflow_core::{Recent, Spares};
-use srflow_read::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
+use srflow_data::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
 
 use crate::config::{Config, MadeKind, MadeSpec};
-use crate::training_set::{DataError, OpenMade};
+use crate::data_error::DataError;
 
 /// Consecutive pairs that are made at once.
 const RUN: u32 = 4;
@@ -16,6 +16,17 @@ const LONGEST_DELAY: f32 = 8.0;
 
 /// Runs that are kept: those whose samples have not all come yet, and some more, since threads run ahead of each other.
 const KEPT: usize = 2 * LONGEST_DELAY as usize;
+
+/// Opens data that is made while training, with the settings of the configuration.
+pub type OpenMade<'a> = dyn Fn(&MadeSpec, &Config) -> Result<Box<dyn MadePairs>, MadeError> + 'a;
+
+/// An [`OpenMade`] for programs that only read files.
+///
+/// # Errors
+/// Always.
+pub fn only_files(_: &MadeSpec, _: &Config) -> Result<Box<dyn MadePairs>, MadeError> {
+    Err("this program makes no pairs; train on a dataset in files".into())
+}
 
 /// Pairs of a [`MadePairs`]: each epoch those of the next `scenes` scenes.
 pub(crate) struct Made {

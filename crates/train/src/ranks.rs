@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Serialize};
 
-use crate::run::TrainError;
+use crate::error::TrainError;
 
 /// How ranks exchange bytes. All of them must call the same methods in the same order.
 pub trait Communicator {
@@ -82,7 +82,6 @@ pub(crate) struct Ranks<'a> {
 pub(crate) struct Times {
     /// Waiting for the last rank to come to an exchange.
     pub waiting: Duration,
-    /// Summing gradients.
     pub summing: Duration,
 }
 

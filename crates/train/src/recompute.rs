@@ -14,7 +14,7 @@ use srflow_nn::{HostGradients, Layout, numbers};
 
 use crate::batch::Batch;
 use crate::loss::{LossError, Prediction, losses};
-use crate::replica::{BatchLosses, PassSettings};
+use crate::pass::{BatchLosses, PassSettings};
 
 /// Adds the gradients of the mean loss of `batch`, times `weight`, to `sum`.
 pub(crate) fn add_gradients(

@@ -2,97 +2,31 @@
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
-use srflow_files::{FileError, LockError, RunLock, create_folder, write_file};
+use srflow_files::{FileError, RunFolder, RunFolderError, RunMode};
 use srflow_nets::about;
-use srflow_nn::{AdamW, AdamWState, Rounding, WeightsError, clip_norm};
-use srflow_ops::{PrecisionError, check_precision};
+use srflow_nn::{AdamW, AdamWState, Rounding, clip_norm};
+use srflow_ops::check_precision;
 
 use crate::batch::Batch;
 use crate::checkpoint::{Best, Checkpoint, CheckpointError, Checkpoints, Progress};
-use crate::config::{Config, ConfigError};
-use crate::loss::LossError;
+use crate::config::Config;
+use crate::data_error::DataError;
+use crate::error::TrainError;
+use crate::made::OpenMade;
+use crate::pass::{BatchLosses, Pass, PassSettings};
 use crate::prefetch::Prefetcher;
 use crate::ranks::{Alone, Communicator, Ranks, share};
-use crate::replica::{BatchLosses, Pass, PassSettings, Replicas};
+use crate::replica::Replicas;
 use crate::schedule::OneCycle;
 use crate::training_log::{Record, SkippedRecord, StepRecord, TrainingLog, ValidationRecord};
-use crate::training_set::{DataError, OpenMade, TrainingSample, TrainingSet};
-use crate::validation::{Validation, ValidationError};
-
-/// Name of the configuration in a run's folder.
-const CONFIG: &str = "config.toml";
-
-/// Errors that end a run, or keep it from starting.
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    #[error(transparent)]
-    Data(#[from] DataError),
-    #[error(transparent)]
-    Validation(#[from] ValidationError),
-    #[error(transparent)]
-    Weights(#[from] WeightsError),
-    #[error(transparent)]
-    Lock(#[from] LockError),
-    #[error(transparent)]
-    Loss(#[from] LossError),
-    #[error(transparent)]
-    Checkpoint(#[from] CheckpointError),
-    #[error(transparent)]
-    File(#[from] FileError),
-    #[error(
-        "{0}: this folder already contains a run of {steps} steps; continue it with `resume` {0}, or choose another `out`",
-        .folder.display()
-    )]
-    AnotherRun {
-        folder: PathBuf,
-        /// Step of its last checkpoint.
-        steps: u64,
-    },
-    #[error(
-        "the loss or its gradients were not finite in {in_a_row} consecutive steps; the last one, step {step}, had the pairs\n  \
-         {samples}\n{last_checkpoint}. Check these pairs, or lower training.learning_rate"
-    )]
-    NotFinite {
-        /// The last of these steps, counted from 1.
-        step: u64,
-        in_a_row: u64,
-        /// The first frames of its batch.
-        samples: String,
-        /// A sentence that names the last checkpoint.
-        last_checkpoint: String,
-    },
-    #[error("training.precision: {0}")]
-    Precision(#[from] PrecisionError),
-    #[error("a thread that reads training pairs panicked; see its message above")]
-    Worker,
-    #[error(
-        "training.batch is {batch}, for {ranks} ranks: each takes at least one sample of a batch; raise `batch`, or start fewer"
-    )]
-    TooManyRanks { batch: usize, ranks: usize },
-    #[error("rank {rank} of {ranks}, counted from 0: {error}")]
-    Rank {
-        rank: usize,
-        ranks: usize,
-        #[source]
-        error: Box<TrainError>,
-    },
-    /// Another rank than this one has failed, and says more.
-    #[error("rank {rank} of {ranks}, counted from 0, has failed: {reason}")]
-    OtherRank { rank: usize, ranks: usize, reason: String },
-    #[error(
-        "{what} of rank {rank} and of rank 0 differ; all ranks need the same srflow, the same arguments and the same files, so a \
-         file system that they share"
-    )]
-    RanksDiffer { what: &'static str, rank: usize },
-}
+use crate::training_set::{TrainingSample, TrainingSet};
+use crate::validation::Validation;
 
 /// Progress of [`train`].
 #[derive(Debug)]
@@ -146,15 +80,6 @@ pub struct Outcome {
     pub summing_share: f64,
     /// Processes that trained together.
     pub ranks: usize,
-}
-
-/// Whether to start a new run or resume one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum RunMode {
-    /// Start at step 0, in a folder without checkpoints.
-    New,
-    /// Continue from the last checkpoint in the folder.
-    Resume,
 }
 
 /// The configuration of the run in the folder `run`, from its last checkpoint.
@@ -245,16 +170,11 @@ impl Training<'_> {
         if let Some(weights) = weights {
             trainer.fill(weights);
         }
-        let _lock = if ranks.leads() {
-            create_folder(run)?;
-            Some(RunLock::take(run)?)
-        } else {
-            None
-        };
+        let folder = if ranks.leads() { Some(RunFolder::open(run)?) } else { None };
         match (mode, checkpoints.steps()?.last()) {
             (RunMode::New, None) => {}
             (RunMode::New, Some(&steps)) => {
-                return Err(TrainError::AnotherRun { folder: run.to_owned(), steps });
+                return Err(RunFolderError::AnotherRun { folder: run.to_owned(), steps: Some(steps) }.into());
             }
             (RunMode::Resume, _) => trainer.restore(checkpoints.read_last(trainer.replicas.layout())?),
         }
@@ -263,12 +183,13 @@ impl Training<'_> {
         ranks.same("the training data", || hash(&set.describe()))?;
         ranks.same("the steps", || trainer.progress.step)?;
         ranks.same("the weights", || trainer.hash())?;
-        let mut log = if ranks.leads() {
-            checkpoints.remove_unfinished()?;
-            write_file(&run.join(CONFIG), &text)?;
-            Some(TrainingLog::open(run, trainer.progress.step)?)
-        } else {
-            None
+        let mut log = match &folder {
+            Some(folder) => {
+                checkpoints.remove_unfinished()?;
+                folder.write_config(&text)?;
+                Some(TrainingLog::open(folder, trainer.progress.step)?)
+            }
+            None => None,
         };
         let mut record = |record: Record, on_event: &mut dyn FnMut(Event<'_>)| {
             let Some(log) = &mut log else { return Ok(()) };

@@ -1,11 +1,11 @@
 //! The log of a run: `log.jsonl`, one JSON object per line, and event files for TensorBoard.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use srflow_core::Metrics;
 use srflow_eval::SCORES;
-use srflow_files::{FileError, FileProblem, JsonLines, read_json_lines};
+use srflow_files::{FileError, FileProblem, JsonLines, RunFolder};
 
 use crate::tensorboard::EventFile;
 
@@ -112,20 +112,19 @@ pub(crate) struct TrainingLog {
     events: EventFile,
 }
 
-/// Name of the log in a run's folder.
-const LOG: &str = "log.jsonl";
 /// Name of the folder of event files in a run's folder.
 const EVENTS: &str = "tensorboard";
 
 impl TrainingLog {
-    /// Opens the log of the run in this folder, removing records after `step`, the step of the checkpoint to continue from.
-    pub(crate) fn open(run: &Path, step: u64) -> Result<Self, FileError> {
-        let log = JsonLines::open(&run.join(LOG), |record: &Record| record.step() <= step)?;
+    /// Opens the log of a run, removing records after `step`, the step of the checkpoint to continue from.
+    pub(crate) fn open(run: &RunFolder, step: u64) -> Result<Self, FileError> {
+        let log = run.log(|record: &Record| record.step() <= step)?;
+        let run = run.path().to_owned();
         let events = run.join(EVENTS);
         let created = EventFile::create(&events);
         let events =
             created.map_err(|error| FileProblem::Io { doing: "creating", error }.in_file(&events))?;
-        Ok(Self { run: run.to_owned(), log, events })
+        Ok(Self { run, log, events })
     }
 
     /// Appends a record to the log and to the event file.
@@ -136,16 +135,10 @@ impl TrainingLog {
     }
 }
 
-/// Reads the log of the run in this folder.
-///
-/// # Errors
-/// When there is no log, or a line is not a valid record.
-pub fn read_log(run: &Path) -> Result<Vec<Record>, FileError> {
-    read_json_lines(&run.join(LOG))
-}
-
 #[cfg(test)]
 mod tests {
+    use srflow_files::read_run_log;
+
     use super::*;
 
     fn step(step: u64) -> Record {
@@ -164,20 +157,21 @@ mod tests {
 
     #[test]
     fn a_truncated_log_continues_from_the_checkpoint() {
-        let run = tempfile::tempdir().unwrap();
-        let mut log = TrainingLog::open(run.path(), 0).unwrap();
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunFolder::open(dir.path()).unwrap();
+        let mut log = TrainingLog::open(&run, 0).unwrap();
         (1..=5).for_each(|number| log.write(&step(number)).unwrap());
         drop(log);
-        let path = run.path().join(LOG);
+        let path = run.path().join("log.jsonl");
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::write(&path, &text[..text.len() - 7]).unwrap();
-        assert_eq!(read_log(run.path()).unwrap().len(), 4);
+        assert_eq!(read_run_log::<Record>(run.path()).unwrap().len(), 4);
 
-        let mut log = TrainingLog::open(run.path(), 3).unwrap();
+        let mut log = TrainingLog::open(&run, 3).unwrap();
         log.write(&step(4)).unwrap();
         let skipped = Record::Skipped(SkippedRecord { step: 5, samples: vec!["a.png".to_owned()] });
         log.write(&skipped).unwrap();
         let expected: Vec<Record> = (1..=4).map(step).chain([skipped]).collect();
-        assert_eq!(read_log(run.path()).unwrap(), expected);
+        assert_eq!(read_run_log::<Record>(run.path()).unwrap(), expected);
     }
 }

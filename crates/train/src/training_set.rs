@@ -5,60 +5,16 @@
 //! made on any thread, in any order.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::augment::{AugmentError, Augmentation};
 use srflow_core::Size;
 use srflow_core::random::Key;
-use srflow_read::flow::{
-    DatasetError, DatasetSpec, Entry, FlowDataset, MadeError, MadePairs, Sample, Split, TruthDensity,
-};
+use srflow_data::flow::{DatasetError, DatasetSpec, Entry, FlowDataset, Sample, Split, TruthDensity};
 
-use crate::config::{Config, DataSpec, MadeSpec, Source};
-use crate::made::Made;
-
-/// Errors in the training data.
-#[derive(Debug, thiserror::Error)]
-pub enum DataError {
-    #[error(
-        "data.train is empty: choose a dataset to train on, e.g. `data` srflow:DIR, or `data` folder:DIR for a plain folder \
-         of pairs"
-    )]
-    NoData,
-    #[error("{0}")]
-    Dataset(#[from] DatasetError),
-    #[error(
-        "{dataset} in {}: none of its {pairs} pairs has a true flow to learn from; {advice}", .dir.display()
-    )]
-    NoTruth { dataset: String, dir: PathBuf, pairs: usize, advice: &'static str },
-    #[error(
-        "{dataset} in {}: no {frames} consecutive frames with a true flow for each pair (training.clip_frames); choose a \
-         dataset of videos, or set training.clip_frames=2 to train on pairs", .dir.display()
-    )]
-    NoClip { dataset: String, dir: PathBuf, frames: usize },
-    #[error(
-        "{pair}: its frames are {}x{}, less than half the crop of {crop} (WIDTHxHEIGHT); set data.crop (`crop`) to at most \
-         the size of the frames",
-        .frame.0, .frame.1
-    )]
-    TooSmall {
-        pair: String,
-        /// Width and height.
-        frame: (usize, usize),
-        crop: Size,
-    },
-    #[error("`{data}`: {source}")]
-    Made {
-        /// As in `data.train`, e.g. `rendered:`, or a pair of it.
-        data: String,
-        source: MadeError,
-    },
-    #[error("{0}")]
-    Settings(AugmentError),
-    #[error("{pair}: {source}")]
-    Augment { pair: String, source: AugmentError },
-}
+use crate::augment::Augmentation;
+use crate::config::{Config, DataSpec, Source};
+use crate::data_error::DataError;
+use crate::made::{Made, OpenMade};
 
 const NO_TRUTH_ADVICE: &str = "choose a split whose truth is published, or for a plain folder put a flow beside each pair \
                                (docs/guides/train.md)";
@@ -72,17 +28,6 @@ pub struct TrainingSet {
     seed: u64,
     /// Shuffled orders of the epochs in use.
     orders: Mutex<BTreeMap<u64, Arc<[usize]>>>,
-}
-
-/// Opens data that is made while training, with the settings of the configuration.
-pub type OpenMade<'a> = dyn Fn(&MadeSpec, &Config) -> Result<Box<dyn MadePairs>, MadeError> + 'a;
-
-/// An [`OpenMade`] for programs that only read files.
-///
-/// # Errors
-/// Always.
-pub fn only_files(_: &MadeSpec, _: &Config) -> Result<Box<dyn MadePairs>, MadeError> {
-    Err("this program makes no pairs; train on a dataset in files".into())
 }
 
 /// One dataset of the mix.

@@ -1,15 +1,13 @@
 //! Scores a network during training.
 
 use std::num::NonZeroUsize;
-use std::path::Path;
 
 use burn::tensor::Device;
+use srflow_data::flow::{DatasetError, FlowDataset, Split};
 use srflow_eval::{Evaluation, Method, Settings, evaluate};
-use srflow_nets::{Network, NetworkEstimator, load_network};
-use srflow_read::flow::{DatasetError, FlowDataset, Split};
+use srflow_nets::{Network, NetworkEstimator};
 
 use crate::config::{Config, Source};
-use crate::run::TrainError;
 use crate::training_log::ValidationRecord;
 use crate::training_set::open_dataset;
 
@@ -20,7 +18,6 @@ pub(crate) struct Validation {
     iterations: NonZeroUsize,
 }
 
-/// Errors of validation.
 #[derive(Debug, thiserror::Error)]
 pub enum ValidationError {
     #[error("validation: {0}")]
@@ -57,7 +54,7 @@ impl Validation {
         Ok(Self::of(config, datasets))
     }
 
-    fn of(config: &Config, datasets: Vec<FlowDataset>) -> Self {
+    pub(crate) fn of(config: &Config, datasets: Vec<FlowDataset>) -> Self {
         let crop = config.validation.crop.map(|crop| (crop.width, crop.height));
         let limit = (config.validation.limit > 0).then_some(config.validation.limit);
         // A checked configuration trains with at least one iteration.
@@ -96,19 +93,6 @@ impl Validation {
             })
             .collect()
     }
-}
-
-/// Scores the weights in a file on `dataset` with the validation settings of `config`.
-pub(crate) fn score_weights(
-    config: &Config,
-    device: &Device,
-    weights: &Path,
-    dataset: &FlowDataset,
-) -> Result<ValidationRecord, TrainError> {
-    let validation = Validation::of(config, vec![dataset.clone()]);
-    let network = config.network.with_settings(load_network(config.network.architecture, weights, device)?);
-    let scores = validation.score(network, device)?;
-    Ok(scores.into_iter().next().expect("one dataset was scored"))
 }
 
 /// The split `val` of a training dataset, if it has one.

@@ -25,8 +25,8 @@ pub use pose_adam::{PoseAdam, PoseRates};
 pub use presets::PRESETS;
 pub use regularizers::{RegularizerValue, Regularizers};
 pub use run::{
-    IterationsRecord, LogRecord, RunError, RunEvent, RunMode, RunOutcome, RunRecord, RunRequest, RunScores,
-    ScoredSplit, ScoresRecord, read_run, read_run_log, run, run_of_avatar,
+    IterationsRecord, LogRecord, RunError, RunEvent, RunOutcome, RunRecord, RunRequest, RunScores,
+    ScoredSplit, ScoresRecord, read_run, run, run_of_avatar,
 };
 pub use schedule::RateSchedule;
 pub use score::{CameraScore, Score, Scorer, SplitScore, ViewScore};

@@ -15,10 +15,10 @@ use std::time::{Duration, Instant};
 use glam::DMat4;
 use safetensors::tensor::{Dtype, TensorView};
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, HeadRecord, write_transforms};
-use srflow_avatar::train::{RunMode, RunRecord, RunRequest, TrainConfig};
+use srflow_avatar::train::{RunRecord, RunRequest, TrainConfig};
 use srflow_avatar::{HeadModel, HeadParameters, HeadSource, PoseParameters};
 use srflow_core::{FlowField, Image, Labels, is_unprintable};
-use srflow_files::{FlowFormat, write_flow, write_flow_as, write_image_png, write_labels_png};
+use srflow_files::{FlowFormat, RunMode, write_flow, write_flow_as, write_image_png, write_labels_png};
 use srflow_splat::{Camera, Gaussians, write_bound_ply, write_gaussians, write_ply};
 use zip::write::SimpleFileOptions;
 

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 use srflow_core::{FlowField, Image, Plane, flow_colors};
-use srflow_read::flow::Sample;
+use srflow_data::flow::Sample;
 
 use super::charts::number;
 use super::heat::{error_map, heat};

@@ -1,4 +1,4 @@
-use srflow_golden::{Golden, name_hash, noise};
+use srflow_ops::golden::{Golden, name_hash, noise};
 
 use super::Network;
 

@@ -4,9 +4,9 @@
 
 use std::io::{self, Read, Write};
 
+use super::checks::{check_pixels, quote};
 use super::claim::{blank, check_file_size, check_size};
 use super::samples::{Endian, Sample, read_samples, write_f32_little_endian};
-use super::{check_pixels, quote};
 use crate::FileProblem;
 use srflow_core::FlowField;
 

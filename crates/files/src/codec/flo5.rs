@@ -3,7 +3,7 @@
 
 use std::io::{self, Read, Write};
 
-use super::check_finite_or_unknown;
+use super::checks::check_finite_or_unknown;
 use super::claim::{blank, check_size, read_all};
 use super::hdf5;
 use crate::FileProblem;

@@ -3,7 +3,7 @@
 
 use std::io::{self, Cursor, Read, Write};
 
-use super::check_pixels;
+use super::checks::check_pixels;
 use super::claim::{blank, read_all};
 use super::png_outline::PngOutline;
 use crate::FileProblem;

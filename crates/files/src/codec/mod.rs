@@ -1,5 +1,6 @@
 //! Flow files: one module per format, and the choice between them.
 
+mod checks;
 mod claim;
 mod flo;
 mod flo5;
@@ -12,15 +13,17 @@ mod pfm;
 mod png_outline;
 mod samples;
 
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, Cursor, Read, Seek, Write};
+use std::io::{self, BufRead, Cursor, Read, Seek, Write};
 use std::path::Path;
 
-use crate::{FileError, FileKind, FileProblem, open_file, write_atomically};
+use crate::{FileError, FileKind, FileProblem, write_atomically};
 use srflow_core::{FlowField, named};
 
+pub(crate) use checks::read_with;
 pub(crate) use claim::{MAX_PIXELS, check_size, read_all};
 pub(crate) use png_outline::{PNG_MAGIC, PngOutline};
+
+use checks::{check_finite_or_unknown, quote};
 
 /// A format of flow files.
 ///
@@ -204,48 +207,5 @@ fn decode(format: FlowFormat, reader: &mut dyn Read, len: u64) -> Result<FlowFie
         FlowFormat::Flo5 => flo5::decode(reader, len),
         FlowFormat::Npy => npy::decode_flow(reader, len),
         FlowFormat::Npz | FlowFormat::Npz16 => npz::decode(reader, len),
-    }
-}
-
-/// Opens a file and returns it with its length in bytes.
-pub(crate) fn read_with<T>(
-    path: &Path,
-    kind: FileKind,
-    read: impl FnOnce(&mut BufReader<File>, u64) -> Result<T, FileProblem>,
-) -> Result<T, FileError> {
-    let (file, len) = open_file(path, kind)?;
-    read(&mut BufReader::with_capacity(1 << 16, file), len).map_err(|problem| problem.in_file(path))
-}
-
-/// # Errors
-/// When a pixel is neither known (both components finite) nor unknown (both NaN).
-fn check_finite_or_unknown(flow: &FlowField) -> Result<(), FileProblem> {
-    check_pixels(flow, "finite numbers, or NaN twice where the flow is unknown", |[u, v]| {
-        (u.is_finite() && v.is_finite()) || (u.is_nan() && v.is_nan())
-    })
-}
-
-/// # Errors
-/// Names the first pixel for which `fine` is false.
-fn check_pixels(
-    flow: &FlowField,
-    expected: &'static str,
-    fine: impl Fn([f32; 2]) -> bool,
-) -> Result<(), FileProblem> {
-    match flow.pixels().iter().position(|pixel| !fine(*pixel)) {
-        None => Ok(()),
-        Some(index) => {
-            let (x, y) = (index % flow.width(), index / flow.width());
-            let [u, v] = flow.pixels()[index];
-            Err(FileProblem::Pixel { x, y, expected, found: format!("({u}, {v})") })
-        }
-    }
-}
-
-/// The first bytes of a file as readable text.
-fn quote(start: &[u8]) -> String {
-    match start.get(..start.len().min(8)) {
-        None | Some([]) => "an empty file".to_owned(),
-        Some(start) => format!("\"{}\"", start.escape_ascii()),
     }
 }

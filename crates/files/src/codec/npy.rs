@@ -8,9 +8,9 @@ use std::path::Path;
 use half::f16;
 use half::slice::HalfFloatSliceExt as _;
 
+use super::checks::{check_finite_or_unknown, check_pixels, quote, read_with};
 use super::claim::{MAX_PIXELS, blank, check_file_size, check_size, read_all};
 use super::samples::{Endian, Sample, read_samples, write_f32_little_endian};
-use super::{check_finite_or_unknown, check_pixels, quote, read_with};
 use crate::{FileError, FileKind, FileProblem, write_atomically};
 use srflow_core::{FlowField, Plane};
 

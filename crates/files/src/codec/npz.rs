@@ -9,9 +9,10 @@ use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
+use super::checks::{broken, read_with};
 use super::claim::{check_deflated, read_all};
 use super::npy::Array;
-use super::{npy, npz16, read_with};
+use super::{npy, npz16};
 use crate::{FileError, FileKind, FileProblem, write_atomically};
 use srflow_core::{FlowField, excerpts};
 
@@ -70,11 +71,6 @@ fn check_end(bytes: &[u8]) -> Result<(), FileProblem> {
         return Err(FileProblem::field("end of archive", "a plain zip record", "a zip64 record"));
     }
     Ok(())
-}
-
-pub(super) fn broken(error: ZipError) -> FileProblem {
-    let expected = "a valid .npz file with one array or one named `flow`, or an .npz16 file";
-    FileProblem::field("archive", expected, error.to_string())
 }
 
 /// A `.npz` archive of named arrays, as NumPy's `savez` and `savez_compressed` write it. Arrays are decoded one by one when they
@@ -168,9 +164,7 @@ fn damaged(error: ZipError) -> FileProblem {
 /// An array of a `.npz` archive: its shape, empty for a scalar, and its values, row-major.
 #[derive(Debug, Clone)]
 pub enum NpzArray<'a> {
-    /// `float32`.
     Float(&'a [usize], &'a [f32]),
-    /// `int64`.
     Integer(&'a [usize], &'a [i64]),
     /// Unicode, as wide as the longest text (`<U`), which NumPy reads without pickle.
     Text(&'a [usize], &'a [&'a str]),

@@ -18,9 +18,8 @@ use std::io::{self, Cursor, Read, Write};
 
 use zip::ZipArchive;
 
-use super::check_pixels;
+use super::checks::{broken, check_pixels};
 use super::claim::{blank, check_deflated, check_size};
-use super::npz::broken;
 use crate::FileProblem;
 use srflow_core::FlowField;
 

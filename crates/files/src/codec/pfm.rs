@@ -4,8 +4,8 @@
 
 use std::io::{self, Read, Write};
 
+use super::checks::quote;
 use super::claim::{blank, check_file_size, check_size};
-use super::quote;
 use super::samples::{Endian, Sample, read_samples, write_f32_little_endian};
 use crate::FileProblem;
 use srflow_core::FlowField;

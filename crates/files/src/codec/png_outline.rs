@@ -1,5 +1,5 @@
+use super::checks::quote;
 use super::claim::{check_deflated, check_file_size, check_size};
-use super::quote;
 use crate::FileProblem;
 
 pub(crate) const PNG_MAGIC: &[u8] = b"\x89PNG\r\n\x1a\n";

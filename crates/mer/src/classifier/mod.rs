@@ -1,31 +1,25 @@
-//! Networks that classify a clip by its features: one file per network, one table of all.
+//! Networks that classify a clip by its features: one file per network, and a table of all in `table.rs`.
 
 mod offapexnet;
 mod offtanet;
 mod ststnet;
-
-use std::fmt;
-use std::str::FromStr;
-use std::sync::Arc;
+mod table;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_core::random::{Key, Stream};
-use srflow_core::serialize_as_text;
 use srflow_nn::{ParameterInfo, Parameters, parameter_infos, with_parameters};
 
 pub use offapexnet::OffApexNet;
 pub use offtanet::OffTaNet;
 pub use ststnet::StstNet;
+pub use table::{CLASSIFIERS, ClassifierEntry};
 
-use crate::features::{FEATURE_SIDE, Features, Sample};
-use crate::loso::{FoldFolder, Loso, LosoError, LosoEvent, leave_one_subject_out};
-use crate::protocol::Protocol;
+use crate::features::{FEATURE_SIDE, Features};
 
 /// A network from features to one score per class. Its parameters carry the reference's names, so that
 /// [`srflow_nn::load`] reads published checkpoints.
 pub trait Classifier: Module {
-    /// Metadata.
     const FACTS: ClassifierFacts;
     /// Channels, height and width of its input.
     const INPUT: [usize; 3];
@@ -41,7 +35,6 @@ pub trait Classifier: Module {
     fn scores(&self, inputs: Tensor<4>, dropout: Option<&mut Stream>) -> Tensor<2>;
 }
 
-/// Metadata of a classifier.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ClassifierFacts {
     /// Name on the command line.
@@ -56,101 +49,6 @@ pub struct ClassifierFacts {
     pub parameters: usize,
     /// Description of the input.
     pub input: &'static str,
-}
-
-/// Any of the classifiers, as one type.
-#[derive(Debug, Clone, Copy)]
-pub struct ClassifierEntry {
-    pub facts: ClassifierFacts,
-    leave_one_subject_out: LeaveOneSubjectOut,
-}
-
-type LeaveOneSubjectOut = fn(
-    &[Sample],
-    &Arc<[String]>,
-    &Protocol,
-    Option<FoldFolder>,
-    &(dyn Fn(LosoEvent) + Sync),
-    &(dyn Fn() -> bool + Sync),
-) -> Result<Loso, LosoError>;
-
-/// The classifiers by name; the first is the SRFlow paper's.
-pub static CLASSIFIERS: [ClassifierEntry; 3] = [
-    ClassifierEntry::of::<OffTaNet>(),
-    ClassifierEntry::of::<StstNet>(),
-    ClassifierEntry::of::<OffApexNet>(),
-];
-
-impl ClassifierEntry {
-    const fn of<C: Classifier>() -> Self {
-        Self { facts: C::FACTS, leave_one_subject_out: leave_one_subject_out::<C> }
-    }
-
-    /// The classifier with this name.
-    pub fn from_name(name: &str) -> Option<&'static Self> {
-        CLASSIFIERS.iter().find(|entry| entry.facts.name == name)
-    }
-
-    /// [`leave_one_subject_out`] with this classifier.
-    ///
-    /// # Errors
-    /// Those of [`leave_one_subject_out`].
-    pub fn leave_one_subject_out(
-        &self,
-        samples: &[Sample],
-        classes: &Arc<[String]>,
-        protocol: &Protocol,
-        folder: Option<FoldFolder>,
-        on_event: &(dyn Fn(LosoEvent) + Sync),
-        stop: &(dyn Fn() -> bool + Sync),
-    ) -> Result<Loso, LosoError> {
-        (self.leave_one_subject_out)(samples, classes, protocol, folder, on_event, stop)
-    }
-}
-
-impl Default for ClassifierEntry {
-    fn default() -> Self {
-        CLASSIFIERS[0]
-    }
-}
-
-impl PartialEq for ClassifierEntry {
-    fn eq(&self, other: &Self) -> bool {
-        self.facts.name == other.facts.name
-    }
-}
-
-impl Eq for ClassifierEntry {}
-
-impl fmt::Display for ClassifierEntry {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.facts.name)
-    }
-}
-
-impl FromStr for ClassifierEntry {
-    type Err = String;
-
-    fn from_str(name: &str) -> Result<Self, String> {
-        Self::from_name(name).copied().ok_or_else(|| {
-            let names = CLASSIFIERS.each_ref().map(|entry| entry.facts.name).join(", ");
-            format!("`{name}` is not a classifier; expected one of {names}")
-        })
-    }
-}
-
-serialize_as_text!(ClassifierEntry);
-
-#[cfg(feature = "clap")]
-impl clap::ValueEnum for ClassifierEntry {
-    fn value_variants<'a>() -> &'a [Self] {
-        &CLASSIFIERS
-    }
-
-    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
-        let ClassifierFacts { name, title, input, .. } = self.facts;
-        Some(clap::builder::PossibleValue::new(name).help(format!("{title}: {input}")))
-    }
 }
 
 /// A network with random parameters by PyTorch's rules for convolutions and linear layers (uniform within

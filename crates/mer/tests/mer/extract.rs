@@ -4,12 +4,12 @@ use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
+use srflow_data::micro_expression::{Annotation, Classes, Clip, ClipDataset, write_plain};
 use srflow_files::write_image_png;
 use srflow_mer::{
-    ApexRule, Channel, Extracted, FaceCrop, FeatureCache, Landmarks, Method, Preparation, ResizeOrder, apex_errors,
-    extract, fill_apexes, spot_apex,
+    ApexRule, Channel, Extracted, FaceCrop, FeatureCache, Landmarks, Method, Preparation, ResizeOrder,
+    apex_errors, extract, fill_apexes, spot_apex,
 };
-use srflow_read::micro_expression::{Annotation, Classes, Clip, ClipDataset, write_plain};
 
 /// Takes the change of brightness for a stretching flow, and counts how often it is asked.
 #[derive(Default)]

@@ -5,16 +5,14 @@ use std::sync::Mutex;
 
 use srflow_core::Plane;
 use srflow_core::random::Key;
+use srflow_data::micro_expression::Classes;
 use srflow_mer::{
     Classifier, FEATURE_SIDE, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError, LosoEvent, OffTaNet,
     Protocol, Sample, StstNet, Summary, leave_one_subject_out, leave_one_subject_out_by, read_predictions,
     write_predictions,
 };
-use srflow_read::micro_expression::Classes;
 
-const NEGATIVE: usize = 0;
-const POSITIVE: usize = 1;
-const SURPRISE: usize = 2;
+use crate::made_up::{NEGATIVE, POSITIVE, SURPRISE};
 
 /// Motion by class: down on the left, up on the right, up everywhere; and noise.
 fn sample(dataset: &str, subject: u32, clip: u32, class: usize) -> Sample {

@@ -1,8 +1,19 @@
 //! Micro-expressions, in a single test program so that the libraries are linked once.
 
+mod apex;
+mod cache;
 mod extract;
+mod face;
+mod features;
 mod loso;
+mod made_up;
+mod metrics;
 mod opencv;
 mod parity;
+mod predictions;
+mod protocol;
 mod published_scores;
+mod results;
 mod run;
+mod strain;
+mod summary;

@@ -4,7 +4,6 @@
 use std::path::PathBuf;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use srflow_golden::{Golden, name_hash, noise, numbers};
 use srflow_mer::{
     CLASSIFIERS, Classifier, ClassifierFacts, OffApexNet, OffTaNet, StstNet, Training, cross_entropy,
 };
@@ -12,6 +11,7 @@ use srflow_nn::{
     HostGradients, Layout, Parameters, Segment, load, parameter_infos, parameters, with_batch_statistics,
     with_parameters,
 };
+use srflow_ops::golden::{Golden, name_hash, noise, numbers};
 
 const LABELS: [i64; 5] = [0, 2, 1, 0, 1];
 const LEARNING_RATE: f64 = 6.5e-4;

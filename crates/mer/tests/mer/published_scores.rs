@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use srflow_data::micro_expression::Classes;
 use srflow_mer::{Prediction, Summary};
-use srflow_read::micro_expression::Classes;
 
 /// Always negative over the real clips: dataset, clips, folds and the means over folds (`P_M`, `R_M`, `F1_M`, `F1_μ`,
 /// `G_M`). SAMM's are the row of SSA in the SRFlow paper's table of SAMM.

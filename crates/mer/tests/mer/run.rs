@@ -6,13 +6,13 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
+use srflow_data::micro_expression::{Classes, ClipDataset, ClipSource};
 use srflow_eval::MethodRecord;
 use srflow_files::write_image_png;
 use srflow_mer::{
-    ApexRule, FeatureRecipe, Preparation, Protocol, RunError, RunEvent, RunFolders, RunMethod, RunWatch, RunResults,
-    RunSettings, Sets, compute_features, run, write_features,
+    ApexRule, FeatureRecipe, Preparation, Protocol, RunError, RunEvent, RunFolders, RunMethod, RunResults,
+    RunSettings, RunWatch, Sets, compute_features, run, write_features,
 };
-use srflow_read::micro_expression::{Classes, ClipDataset, ClipSource};
 
 /// A flow from the brightness of the second picture.
 struct Brightness;
@@ -124,7 +124,8 @@ fn a_stopped_run_continues() {
     let folder = tempfile::tempdir().unwrap();
     let datasets = || vec![dataset(&folder.path().join("data"), 3)];
     let begun = AtomicBool::new(false);
-    let on_event = |event: RunEvent| _ = begun.fetch_or(matches!(event, RunEvent::Trained { .. }), Ordering::Relaxed);
+    let on_event =
+        |event: RunEvent| _ = begun.fetch_or(matches!(event, RunEvent::Trained { .. }), Ordering::Relaxed);
     let stop = || begun.load(Ordering::Relaxed);
     let folders =
         RunFolders { features: &folder.path().join("features"), folds: &folder.path().join("folds") };

@@ -74,7 +74,7 @@ fn indices(of: Vec<i64>, device: &Device) -> Tensor<1, Int> {
 
 #[cfg(test)]
 mod tests {
-    use srflow_golden::numbers;
+    use srflow_ops::golden::numbers;
 
     use super::*;
 

@@ -145,7 +145,7 @@ impl Divided {
 #[cfg(test)]
 mod tests {
     use burn::tensor::{Device, TensorData};
-    use srflow_golden::numbers;
+    use srflow_ops::golden::numbers;
 
     use super::*;
 

@@ -1,8 +1,8 @@
 //! Features of a frame can be reused for both of its pairs.
 
 use burn::tensor::{Device, Distribution, Tensor};
-use srflow_golden::numbers;
 use srflow_nets::{Architecture, Features, Frames, Request};
+use srflow_ops::golden::numbers;
 
 /// Two pairs at once, of a size that needs padding; the features of each frame are computed separately.
 #[test]

@@ -1,9 +1,9 @@
 //! Parameters and frames that `tools/parity/nets.py` makes up by the same rules.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_golden::{Golden, name_hash, noise};
 use srflow_nets::Network;
 use srflow_nn::{Parameters, parameter_infos, with_parameters};
+use srflow_ops::golden::{Golden, name_hash, noise};
 
 /// Weights with variance 1 / fan_in, which preserves the scale of activations; other parameters near typical trained values.
 fn parameter(name: &str, shape: &[usize], gains: &[(String, f32)]) -> Vec<f32> {

@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_golden::numbers;
 use srflow_nets::{Architecture, Estimate, Frames, Network, Request};
 use srflow_nn::{HostGradients, Layout, Parameters, parameter_infos, with_parameters};
+use srflow_ops::golden::numbers;
 
 /// Pseudorandom values in -1..1.
 fn values(count: usize, seed: u32) -> Vec<f32> {

@@ -10,11 +10,11 @@ use std::process::Command;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_core::{FlowEstimator, FlowField, Image, Size};
-use srflow_golden::{Golden, numbers};
 use srflow_nets::{
     Architecture, Frames, Network, NetworkEstimator, OnnxOptions, Request, Start, load_included,
     save_network_onnx,
 };
+use srflow_ops::golden::{Golden, numbers};
 
 use crate::inputs::{filled, frame};
 

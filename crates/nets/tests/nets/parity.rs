@@ -10,9 +10,9 @@ use std::sync::LazyLock;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData, s};
-use srflow_golden::{Golden, numbers};
 use srflow_nets::{Architecture, Estimate, Facts, Frames, LaplaceMixture, Memory, Network, Request, Start};
 use srflow_nn::{HostGradients, Layout, Segment, parameter_infos, with_batch_statistics};
+use srflow_ops::golden::{Golden, numbers};
 
 use crate::inputs::{filled, frame};
 

@@ -32,16 +32,10 @@ use srflow_splat::Camera;
 use crate::RenderError;
 use crate::job::{self, Made, Request, StageTime};
 pub use settings::CaptureSettings;
-pub use truth::TrueCapture;
+pub use truth::{TRUE_FOLDER, TrueCapture};
 
 use performance::Performance;
 use work::{Timesteps, image_name};
-
-/// The arguments of a capture.
-const MANIFEST_NAME: &str = "capture.json";
-
-/// The folder of the true cameras and landmarks in a capture.
-pub const TRUE_FOLDER: &str = "true";
 
 /// The result of [`capture`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -52,7 +46,6 @@ pub struct CaptureReport {
     pub made: u64,
     pub cameras: usize,
     pub bytes: u64,
-    /// Duration in seconds.
     pub seconds: f64,
     pub stages: Vec<StageTime>,
     /// Whether it was stopped on request before all timesteps were rendered.

@@ -10,9 +10,12 @@ use srflow_splat::Camera;
 
 use crate::RenderError;
 use crate::clap::Args;
-use crate::error::check_size;
+use crate::error::{check_size, require};
 use crate::generate::Rig;
 use crate::head;
+
+/// Name of the file with the arguments of a capture.
+pub(super) const MANIFEST_NAME: &str = "capture.json";
 
 /// Numbers of the rig's cameras, in the order in which fewer than all are chosen: the front one first, then by how much they add
 /// to the views of those before.
@@ -31,7 +34,7 @@ pub struct CaptureSettings {
     /// Head model
     #[arg(long, value_name = "HEAD", default_value_t = Self::default().head, help = crate::generate::head_help())]
     pub head: HeadSource,
-    /// Number of cameras, 1 to 16; the front camera, number 8, is always one
+    /// Number of cameras, 1 to 16, always including the front camera, number 8
     #[arg(long, value_name = "N", default_value_t = Self::default().cameras)]
     pub cameras: usize,
     /// Number of timesteps
@@ -75,28 +78,17 @@ impl Default for CaptureSettings {
 
 impl CaptureSettings {
     pub(super) fn validate(&self) -> Result<(), RenderError> {
-        let wrong = |field, found: String, expected: &str| {
-            Err(RenderError::Setting(srflow_core::SettingError {
-                field,
-                found,
-                expected: expected.to_owned(),
-            }))
-        };
-        if !(1..=CHOSEN.len()).contains(&self.cameras) {
-            return wrong("cameras", self.cameras.to_string(), "1 to 16");
-        }
-        if !(1..=100_000).contains(&self.timesteps) {
-            return wrong("timesteps", self.timesteps.to_string(), "1 to 100000");
-        }
+        let cameras = (1..=CHOSEN.len()).contains(&self.cameras);
+        require("cameras", self.cameras, "1 to 16", cameras)?;
+        let timesteps = (1..=100_000).contains(&self.timesteps);
+        require("timesteps", self.timesteps, "1 to 100000", timesteps)?;
         check_size((self.size.width, self.size.height), 16..=16_384)?;
         for (field, value) in [
             ("noise", self.noise),
             ("calibration_noise", self.calibration_noise),
             ("landmark_noise", self.landmark_noise),
         ] {
-            if !(0.0..=100.0).contains(&value) {
-                return wrong(field, value.to_string(), "0 to 100");
-            }
+            require(field, value, "0 to 100", (0.0..=100.0).contains(&value))?;
         }
         Ok(())
     }

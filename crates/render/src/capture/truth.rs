@@ -8,8 +8,11 @@ use srflow_avatar::{Avatar, HeadPose, HeadSource, PosedHead};
 use srflow_files::{FileKind, FileProblem, parse_error_in_words, read_text};
 use srflow_splat::{Frame, Gaussians, Options, Outputs, Rasterizer};
 
-use super::{MANIFEST_NAME, TRUE_FOLDER};
+use super::settings::MANIFEST_NAME;
 use crate::{RenderError, head};
+
+/// The folder of the true cameras and landmarks in a capture.
+pub const TRUE_FOLDER: &str = "true";
 
 /// The truth of a capture that [`capture`](super::capture) made.
 #[derive(Debug, Clone)]

@@ -13,11 +13,11 @@ use srflow_files::write_image_png;
 use srflow_splat::{Frame, Gaussians, Options, Outputs, Rasterizer};
 
 use super::performance::Performance;
-use super::settings::indices;
-use super::{CaptureSettings, MANIFEST_NAME, TRUE_FOLDER};
+use super::settings::{CaptureSettings, MANIFEST_NAME, indices};
+use super::truth::TRUE_FOLDER;
 use crate::RenderError;
 use crate::generate::write_alpha;
-use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, unless_gone};
+use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::record::json_text;
 use crate::recording::add_noise;
 
@@ -116,7 +116,7 @@ impl<'a> Plan for Timesteps<'a> {
         let number = |key: &str| other[key].as_u64().unwrap_or(0);
         let cameras = indices(usize::try_from(number("cameras")).unwrap_or(0));
         // The lists first: without them the capture does not count as complete.
-        let remove = |file: PathBuf| unless_gone(&dir.join(&file), fs::remove_file(dir.join(&file)));
+        let remove = |file: PathBuf| remove(&dir.join(file));
         files_of_all().try_for_each(remove)?;
         let timesteps = u32::try_from(number("timesteps")).unwrap_or(0);
         (0..timesteps).flat_map(|timestep| files_of(timestep, &cameras)).try_for_each(remove)?;
@@ -143,14 +143,7 @@ impl<'a> Plan for Timesteps<'a> {
         run: &Run,
         renderer: &mut Renderer,
     ) -> Result<(), RenderError> {
-        for timestep in run.units.clone() {
-            if !work.begin() {
-                break;
-            }
-            renderer.make(work, timestep)?;
-            work.done();
-        }
-        Ok(())
+        work.each(run.units.clone(), |timestep| renderer.make(work, timestep))
     }
 }
 

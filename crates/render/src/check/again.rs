@@ -11,11 +11,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 use srflow_core::random::Key;
 use srflow_core::{Shard, excerpt};
+use srflow_data::manifest::Manifest;
 use srflow_files::{FileKind, SHA256SUMS, hexadecimal, parse_sha256sums_line, sha256_of_file};
-use srflow_read::manifest::Manifest;
 
-use super::Problem;
 use super::plan::is_of_this_version;
+use super::problem::Problem;
 use crate::RenderError;
 use crate::generate::{Background, Settings, generate};
 use crate::job::{Layout, Request};

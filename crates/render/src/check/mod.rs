@@ -3,8 +3,9 @@
 
 mod again;
 mod plan;
+mod problem;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -17,8 +18,9 @@ use crate::record::PairRecord;
 use crate::statistics::{BINS, FlowSummary, Statistics, bin_edges};
 pub use again::{Rerendered, check_hashes, check_rerendered};
 use plan::{Expected, problems_of_manifest, unexpected_files};
-use srflow_read::manifest::{FrameFiles, Manifest, ManifestError, STATISTICS_NAME, SceneEntry};
-use srflow_read::region_map::read_region_map;
+pub use problem::Problem;
+use srflow_data::manifest::{FrameFiles, Manifest, ManifestError, STATISTICS_NAME, SceneEntry};
+use srflow_data::region_map::read_region_map;
 
 /// Maximum number of pairs examined at once, each with about 0.3 GB at 2200x3208.
 const MAX_AT_ONCE: usize = 16;
@@ -30,14 +32,6 @@ const RUN: u32 = 6;
 /// with the wrong sign doubles the difference.
 const WORST_RATIO: f64 = 1.05;
 const WORST_LEVELS: f64 = 0.5;
-
-/// One problem of a dataset.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Problem {
-    /// The file or folder.
-    pub file: PathBuf,
-    pub what: String,
-}
 
 /// Mean absolute difference between frame 1 and frame 2 over colour channels, in levels of 0 to 255: on the head, where the
 /// pixel is visible in both frames.

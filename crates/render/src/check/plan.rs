@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use srflow_avatar::HeadModel;
-use srflow_read::manifest::{MANIFEST_NAME, Manifest, RigCamera, SceneEntry, SceneSplit};
+use srflow_data::manifest::{MANIFEST_NAME, Manifest, RigCamera, SceneEntry, SceneSplit};
 
-use super::Problem;
+use super::problem::Problem;
 use crate::camera::{camera_from_record, record_from_camera};
 use crate::generate::{Action, Settings, Views, record};
 use crate::job::first_difference;

@@ -8,11 +8,12 @@ use std::str::FromStr;
 
 use srflow_core::random::Key;
 use srflow_core::{Image, parse_color};
-use srflow_files::{IMAGE_EXTENSIONS, read_image};
+use srflow_files::read_image;
 use srflow_splat::Frame;
 
-use super::settings::list_files;
 use crate::RenderError;
+use crate::error::require;
+use crate::setting_files::images_in;
 
 /// The background of the subjects.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -71,27 +72,6 @@ pub(super) fn behind(
     })
 }
 
-/// Names and sizes of the image files in a folder, by name. Errors name the `field` and what was `expected` of it.
-pub(crate) fn images_in(
-    dir: &Path,
-    field: &'static str,
-    expected: &'static str,
-) -> Result<Vec<(String, u64)>, RenderError> {
-    let mut files = list_files(dir, field, expected)?;
-    files.retain(|(name, _)| {
-        let ending = name.rsplit_once('.').map_or("", |(_, ending)| ending);
-        IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(ending))
-    });
-    if files.is_empty() {
-        return Err(RenderError::Setting(srflow_core::SettingError {
-            field,
-            found: dir.display().to_string(),
-            expected: format!("a folder with images ({})", IMAGE_EXTENSIONS.join(", ")),
-        }));
-    }
-    Ok(files)
-}
-
 /// The images of the setting `background`.
 pub(super) fn images(dir: &Path) -> Result<Vec<(String, u64)>, RenderError> {
     images_in(dir, "background", "white, black, #rrggbb, procedural or a folder of images")
@@ -121,13 +101,8 @@ pub(super) fn chosen(images: &[(String, u64)], scene: u32, seed: u64) -> Option<
 /// Reads an image, and crops its centre and resizes it to `width` by `height`.
 fn load(path: &Path, width: usize, height: usize) -> Result<Image, RenderError> {
     let image = read_image(path)?;
-    if image.width() == 0 || image.height() == 0 {
-        return Err(RenderError::Setting(srflow_core::SettingError {
-            field: "background",
-            found: path.display().to_string(),
-            expected: "an image with at least one pixel".into(),
-        }));
-    }
+    let expected = "an image with at least one pixel";
+    require("background", path.display(), expected, !image.pixels().is_empty())?;
     Ok(fill(&image, width, height))
 }
 

@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use srflow_avatar::Avatars;
 use srflow_core::{Recent, Spares};
-use srflow_read::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
-use srflow_read::manifest::SceneSplit;
+use srflow_data::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
+use srflow_data::manifest::SceneSplit;
 
 use super::background::{self, Background};
 use super::rig::Rig;
@@ -13,6 +13,7 @@ use super::scene::{Scene, subject};
 use super::settings::Settings;
 use super::work::Worker;
 use crate::RenderError;
+use crate::error::require;
 
 /// Scenes that are kept: those of which pairs are asked for in turn, and some more, since threads run ahead of each other.
 const KEPT: usize = SCENES_AT_ONCE as usize + 4;
@@ -35,13 +36,8 @@ impl ScenePairs {
     /// As [`generate`](super::generate) before any work; and when the pairs per scene are not a whole number.
     pub fn new(settings: Settings) -> Result<Self, RenderError> {
         super::checked_plan(&settings, &Avatars::keeping(1))?;
-        if settings.frames.fract() != 0.0 {
-            return Err(RenderError::Setting(srflow_core::SettingError {
-                field: "frames",
-                found: settings.frames.to_string(),
-                expected: "a whole number: every scene has as many pairs".to_owned(),
-            }));
-        }
+        let expected = "a whole number: every scene has as many pairs";
+        require("frames", settings.frames, expected, settings.frames.fract() == 0.0)?;
         let backgrounds = match &settings.background {
             Background::Images(dir) => background::images(dir)?,
             Background::Colour(_) | Background::Procedural => Vec::new(),

@@ -22,13 +22,13 @@ use srflow_avatar::{Avatar, Avatars};
 use srflow_files::write_file;
 
 use crate::RenderError;
+use crate::error::require;
 use crate::job::{self, Made, Request};
 use crate::record::{PairRecord, json_text};
 use crate::statistics::{FlowSummary, Statistics};
-use srflow_read::manifest::{Manifest, STATISTICS_NAME};
+use srflow_data::manifest::{Manifest, STATISTICS_NAME};
 
 pub use background::Background;
-pub(crate) use background::images_in;
 pub use made::ScenePairs;
 pub use motion::MotionSource;
 pub use occlusion::DEPTH_TOLERANCE;
@@ -36,9 +36,8 @@ pub(crate) use path::Path as SmoothPath;
 pub use pictures::DEPTH_UNITS_PER_METRE;
 pub(crate) use pictures::write_alpha;
 pub use rig::{CANONICAL_CAMERA, FULL_SIZE, Rig, View};
-pub(crate) use scene::{Action, Views, record, unit_name};
+pub(crate) use scene::{Action, Views, record};
 pub use settings::{Settings, with_flat_recording};
-pub(crate) use settings::{fingerprint, list_files};
 #[cfg(feature = "clap")]
 pub(crate) use settings::{flow_format_help, head_help};
 
@@ -91,14 +90,8 @@ fn checked_plan(settings: &Settings, avatars: &Avatars) -> Result<Manifest, Rend
 fn check_length(settings: &Settings, manifest: &Manifest, avatar: &Avatar) -> Result<(), RenderError> {
     let Some(poses) = settings.motion.poses(avatar)? else { return Ok(()) };
     let longest = manifest.scenes.iter().map(|scene| scene.pairs).max().unwrap_or(0);
-    if longest as usize >= poses.len() {
-        return Err(RenderError::Setting(srflow_core::SettingError {
-            field: "frames",
-            found: settings.frames.to_string(),
-            expected: format!("less than the {} timesteps of the motion", poses.len()),
-        }));
-    }
-    Ok(())
+    let expected = format!("less than the {} timesteps of the motion", poses.len());
+    require("frames", settings.frames, expected, (longest as usize) < poses.len())
 }
 
 /// Writes the statistics of a complete dataset.

@@ -8,6 +8,7 @@ use srflow_avatar::capture::Capture;
 use srflow_avatar::{Avatar, HeadParameters, PoseParameters};
 
 use crate::RenderError;
+use crate::error::require;
 
 /// Where the motion of the subjects comes from.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -57,15 +58,13 @@ impl MotionSource {
         avatar: &Avatar,
     ) -> Result<Option<Vec<PoseParameters>>, RenderError> {
         let parameters = match self {
-            Self::Own if avatar.own_motion().is_empty() => {
-                return Err(RenderError::Setting(srflow_core::SettingError {
-                    field: "motion",
-                    found: "own".to_owned(),
-                    expected: "curves or a file for this head: only the avatars of --head avatar:DIR have a motion of their own"
-                        .to_owned(),
-                }));
+            Self::Own => {
+                let motion = avatar.own_motion().to_vec();
+                let expected = "curves or a file for this head: only the avatars of `head` avatar:DIR have a motion of their \
+                                own";
+                require("motion", "own", expected, !motion.is_empty())?;
+                return Ok(Some(motion));
             }
-            Self::Own => return Ok(Some(avatar.own_motion().to_vec())),
             Self::Curves | Self::Mixed | Self::Recorded(_) => match recorded {
                 Some(parameters) => parameters,
                 None => return Ok(None),
@@ -73,12 +72,9 @@ impl MotionSource {
         };
         // The identity stays the avatar's: only the motion is of another.
         let motion = HeadParameters { poses: parameters.poses, ..HeadParameters::default() };
-        motion.check(avatar.model()).map_err(|error| {
-            RenderError::Setting(srflow_core::SettingError {
-                field: "motion",
-                found: self.to_string(),
-                expected: format!("the motion of the same kind of head ({error})"),
-            })
+        motion.check(avatar.model()).or_else(|error| {
+            let expected = format!("the motion of the same kind of head ({error})");
+            require("motion", self, expected, false)
         })?;
         Ok(Some(motion.poses))
     }

@@ -4,8 +4,8 @@ use std::io;
 use std::path::Path;
 
 use srflow_core::Plane;
+use srflow_data::region_map::HeadPart;
 use srflow_files::{FileError, write_atomically};
-use srflow_read::region_map::HeadPart;
 use srflow_splat::Frame;
 
 use crate::parts::PartWeights;

@@ -4,7 +4,7 @@ use glam::{DMat3, DMat4, DVec3, DVec4};
 use srflow_splat::Camera;
 
 use crate::camera::record_from_camera;
-use srflow_read::manifest::RigCamera;
+use srflow_data::manifest::RigCamera;
 
 /// Width and height of NeRSemble's frames, to which the focal length refers.
 pub const FULL_SIZE: (usize, usize) = (2200, 3208);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{EulerRot, Quat, Vec3};
 use srflow_avatar::{
-    Avatar, Avatars, HeadModel, HeadPose, HeadSource, MicroExpression, Moment, Motion, PoseParameters, Side,
+    Avatar, Avatars, HeadModel, HeadPose, HeadSource, MicroExpression, Moment, Motion, PoseParameters,
 };
 use srflow_core::Image;
 use srflow_core::random::{Key, Stream};
@@ -17,12 +17,12 @@ use super::path::Path;
 use super::rig::{Rig, View};
 use super::settings::Settings;
 use crate::RenderError;
+use crate::action_units::{action_unit_sets, unit_name};
 use crate::camera::record_from_camera;
 use crate::record::FrameRecord;
 use crate::recording::Recorder;
-use crate::synth::action_unit_sets;
-use srflow_read::manifest::SceneEntry;
-use srflow_read::micro_expression::EmotionClass;
+use srflow_data::manifest::SceneEntry;
+use srflow_data::micro_expression::EmotionClass;
 
 /// Frame rate of the motion. NeRSemble records 73 frames per second, at which expressions hardly move between frames.
 const FRAMES_PER_SECOND: f32 = 24.0;
@@ -342,15 +342,6 @@ fn add(model: &HeadModel, moment: &mut Moment, micro_expression: &MicroExpressio
             Some(unit) => unit.2 = (unit.2 + intensity).min(1.0),
             None => moment.action_units.push((number, side, intensity)),
         }
-    }
-}
-
-/// `AU12_L` where a unit has halves, else `AU9`.
-pub(crate) fn unit_name(number: u8, side: Side) -> String {
-    match side {
-        Side::Both => format!("AU{number}"),
-        Side::Left => format!("AU{number}_L"),
-        Side::Right => format!("AU{number}_R"),
     }
 }
 

@@ -1,21 +1,22 @@
 //! The settings of a dataset, checked before any work starts, and the plan derived from them.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use srflow_avatar::HeadSource;
 use srflow_core::random::Key;
-use srflow_core::{Numbers, SettingError, Size, excerpt};
+use srflow_core::{Numbers, Size, excerpt};
 use srflow_files::FlowFormat;
 use srflow_splat::Device;
 
 use super::background::{self, Background};
 use super::{FULL_SIZE, MotionSource, Rig};
 use crate::clap::Args;
-use crate::error::check_size;
+use crate::error::{check_size, require};
+use crate::setting_files::{files_at, fingerprint};
 use crate::{RenderError, head};
-use srflow_read::manifest::{
+use srflow_data::manifest::{
     Arguments, LAYOUT_VERSION, MANIFEST_NAME, Manifest, Recording, SceneEntry, SceneSplit,
 };
 
@@ -36,7 +37,7 @@ pub struct Settings {
     /// Number of scenes, one subject each
     #[arg(long, value_name = "N", default_value_t = Self::default().scenes)]
     pub scenes: u32,
-    /// Frame pairs per scene; if not an integer, the mean over the scenes, rounded so that scenes are as even as possible
+    /// Frame pairs per scene; a fraction is the mean over scenes of nearly equal length
     #[arg(long, value_name = "N", default_value_t = Self::default().frames)]
     pub frames: f64,
     /// Size of the frames, WIDTHxHEIGHT
@@ -57,14 +58,15 @@ pub struct Settings {
     /// Also write depth
     #[arg(long)]
     pub depth: bool,
-    /// Also write region maps: whether a pixel shows skin, eyes, mouth, hair or neck
+    /// Also write region maps: skin, eyes, mouth, hair or neck for each pixel
     #[arg(long)]
     pub regions: bool,
     /// Background: white, black, #rrggbb, `procedural` (rooms, textures, gradients, lights), or a folder of images
     #[arg(long, value_name = "COLOUR|DIR", default_value_t = Self::default().background)]
     pub background: Background,
-    /// Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (with micro-expressions, small and large),
-    /// `own` (the one that an avatar was trained on), or a flame_param.npz or capture of another subject with the same kind of head
+    /// Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (also
+    /// micro-expressions, at many speeds), `own` (the avatar's training motion), or a flame_param.npz or
+    /// capture of another subject with the same kind of head
     #[arg(long, value_name = "MOTION", default_value_t = Self::default().motion)]
     pub motion: MotionSource,
     /// Device to rasterize on
@@ -240,24 +242,15 @@ impl Settings {
     }
 
     fn validate(&self) -> Result<(), RenderError> {
-        let wrong = |field, found: String, expected: String| {
-            Err(RenderError::Setting(SettingError { field, found, expected }))
-        };
-        if !(1..=MAX_SCENES).contains(&self.scenes) {
-            return wrong("scenes", self.scenes.to_string(), format!("1 to {MAX_SCENES}"));
-        }
-        if !(1.0..=MAX_PAIRS).contains(&self.frames) {
-            return wrong("frames", self.frames.to_string(), format!("1 to {MAX_PAIRS}"));
-        }
+        let scenes = (1..=MAX_SCENES).contains(&self.scenes);
+        require("scenes", self.scenes, format!("1 to {MAX_SCENES}"), scenes)?;
+        let frames = (1.0..=MAX_PAIRS).contains(&self.frames);
+        require("frames", self.frames, format!("1 to {MAX_PAIRS}"), frames)?;
         check_size((self.size.width, self.size.height), SIDES)?;
         let sum: f64 = self.splits.iter().sum();
-        if self.splits.iter().any(|share| !(0.0..=1.0).contains(share)) || (sum - 1.0).abs() > 1e-6 {
-            return wrong(
-                "splits",
-                self.splits.to_string(),
-                format!("three shares from 0 to 1 that sum to 1, not {sum:.6}"),
-            );
-        }
+        let fine = self.splits.iter().all(|share| (0.0..=1.0).contains(share)) && (sum - 1.0).abs() <= 1e-6;
+        let expected = format!("three shares from 0 to 1 that sum to 1, not {sum:.6}");
+        require("splits", self.splits, expected, fine)?;
         let Recording { noise, lighting, lamps, shutter, defocus, jpeg } = self.recording;
         for (field, value, most, unit) in [
             ("recording.noise", noise, 50.0, ""),
@@ -266,14 +259,10 @@ impl Settings {
             ("recording.shutter", shutter, 1.0, ""),
             ("recording.defocus", defocus, 64.0, " pixels"),
         ] {
-            if !(0.0..=most).contains(&value) {
-                return wrong(field, value.to_string(), format!("0 to {most}{unit}"));
-            }
+            require(field, value, format!("0 to {most}{unit}"), (0.0..=most).contains(&value))?;
         }
-        if let Some(quality) = jpeg
-            && !(1..=100).contains(&quality)
-        {
-            return wrong("recording.jpeg", quality.to_string(), "1 to 100".to_owned());
+        if let Some(quality) = jpeg {
+            require("recording.jpeg", quality, "1 to 100", (1..=100).contains(&quality))?;
         }
         Ok(())
     }
@@ -293,7 +282,11 @@ impl Settings {
             settings["background"] = format!("images, {}", fingerprint(&background::images(dir)?)).into();
         }
         if let MotionSource::Recorded(path) = &self.motion {
-            settings["motion"] = format!("recorded, {}", fingerprint(&files_at(path, "motion")?)).into();
+            settings["motion"] = format!(
+                "recorded, {}",
+                fingerprint(&files_at(path, "motion", "a file or folder that can be read")?)
+            )
+            .into();
         }
         settings["device"] = self.device.kind().into();
         let off = [
@@ -337,52 +330,9 @@ pub fn with_flat_recording(mut settings: Value) -> Result<Value, String> {
     Ok(settings)
 }
 
-/// Names and sizes of the files in a folder, sorted by name.
-///
-/// # Errors
-/// When the folder cannot be read; the error names the `field` and what was `expected` of it.
-pub(crate) fn list_files(
-    dir: &Path,
-    field: &'static str,
-    expected: &'static str,
-) -> Result<Vec<(String, u64)>, RenderError> {
-    let failed = |error| RenderError::Folder { field, path: dir.to_owned(), error, expected };
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(dir).map_err(failed)? {
-        let entry = entry.map_err(failed)?;
-        let metadata = std::fs::metadata(entry.path()).map_err(failed)?;
-        if metadata.is_file() {
-            files.push((entry.file_name().to_string_lossy().into_owned(), metadata.len()));
-        }
-    }
-    files.sort();
-    Ok(files)
-}
-
-/// Name and size of a file, or of the files in a folder.
-fn files_at(path: &Path, field: &'static str) -> Result<Vec<(String, u64)>, RenderError> {
-    const EXPECTED: &str = "a file or folder that can be read";
-    let failed = |error| RenderError::Folder { field, path: path.to_owned(), error, expected: EXPECTED };
-    let metadata = std::fs::metadata(path).map_err(failed)?;
-    if metadata.is_dir() {
-        return list_files(path, field, EXPECTED);
-    }
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    Ok(vec![(name, metadata.len())])
-}
-
 /// The kind of what `dataset.json` records, and whether a fingerprint of its files follows.
 fn split_fingerprint(recorded: &str) -> (&str, bool) {
     recorded.split_once(", ").map_or((recorded, false), |(kind, _)| (kind, true))
-}
-
-/// A short hash of the names and sizes of files (FNV-1a), independent of their folder.
-pub(crate) fn fingerprint(files: &[(String, u64)]) -> String {
-    let text: String = files.iter().map(|(name, size)| format!("{name} {size}\n")).collect();
-    let hash = text
-        .bytes()
-        .fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3));
-    format!("{} files, fingerprint {hash:016x}", files.len())
 }
 
 /// The split of each scene: counts by largest remainder, scenes drawn at random.
@@ -486,31 +436,33 @@ mod tests {
 
     #[test]
     fn errors_come_before_any_work() {
-        let error = |settings: Settings| plan(&settings).unwrap_err();
         let base = Settings::default;
-        assert!(error(Settings { scenes: 0, ..base() }).contains("scenes 0: expected 1 to 10000"));
-        assert!(error(Settings { frames: 0.0, ..base() }).contains("frames 0"));
-        assert!(error(Settings { frames: f64::NAN, ..base() }).contains("frames NaN"));
-        assert!(error(Settings { size: Size { width: 0, ..base().size }, ..base() }).contains("size 0x3208"));
-        assert!(
-            error(Settings { size: Size { height: 1 << 40, ..base().size }, ..base() })
-                .contains("to 16384x16384")
-        );
-        assert!(error(Settings { splits: Numbers([0.5, 0.1, 0.1]), ..base() }).contains("sum to 1, not 0.7"));
-        assert!(error(Settings { splits: Numbers([1.5, -0.5, 0.0]), ..base() }).contains("from 0 to 1"));
-        let images = Background::Images("/nowhere".into());
-        assert!(error(Settings { background: images, ..base() }).contains("background /nowhere"));
-        assert!(
-            error(Settings { head: "ict:/nowhere".parse().unwrap(), ..base() }).contains("head /nowhere")
-        );
-        let recorded = |recording| error(Settings { recording, ..base() });
-        assert!(recorded(Recording { noise: f32::NAN, ..Recording::none() }).contains("recording.noise NaN"));
-        assert!(
-            recorded(Recording { lighting: -1.0, ..Recording::none() }).contains("recording.lighting -1")
-        );
-        assert!(recorded(Recording { lamps: 2.0, ..Recording::none() }).contains("recording.lamps 2"));
-        assert!(recorded(Recording { shutter: 1.1, ..Recording::none() }).contains("recording.shutter 1.1"));
-        assert!(recorded(Recording { defocus: 65.0, ..Recording::none() }).contains("recording.defocus 65"));
-        assert!(recorded(Recording { jpeg: Some(0), ..Recording::none() }).contains("recording.jpeg 0"));
+        let size = |width, height| Settings { size: Size { width, height }, ..base() };
+        let splits = |shares| Settings { splits: Numbers(shares), ..base() };
+        let recorded = |recording| Settings { recording, ..base() };
+        let none = Recording::none;
+        for (settings, message) in [
+            (Settings { scenes: 0, ..base() }, "scenes 0: expected 1 to 10000"),
+            (Settings { frames: 0.0, ..base() }, "frames 0"),
+            (Settings { frames: f64::NAN, ..base() }, "frames NaN"),
+            (size(0, 3208), "size 0x3208"),
+            (size(2200, 1 << 40), "to 16384x16384"),
+            (splits([0.5, 0.1, 0.1]), "sum to 1, not 0.7"),
+            (splits([1.5, -0.5, 0.0]), "from 0 to 1"),
+            (
+                Settings { background: Background::Images("/nowhere".into()), ..base() },
+                "background` /nowhere",
+            ),
+            (Settings { head: "ict:/nowhere".parse().unwrap(), ..base() }, "head` /nowhere"),
+            (recorded(Recording { noise: f32::NAN, ..none() }), "recording.noise NaN"),
+            (recorded(Recording { lighting: -1.0, ..none() }), "recording.lighting -1"),
+            (recorded(Recording { lamps: 2.0, ..none() }), "recording.lamps 2"),
+            (recorded(Recording { shutter: 1.1, ..none() }), "recording.shutter 1.1"),
+            (recorded(Recording { defocus: 65.0, ..none() }), "recording.defocus 65"),
+            (recorded(Recording { jpeg: Some(0), ..none() }), "recording.jpeg 0"),
+        ] {
+            let error = plan(&settings).unwrap_err();
+            assert!(error.contains(message), "{error}");
+        }
     }
 }

@@ -21,13 +21,13 @@ use super::rig::Rig;
 use super::scene::{self, FrameState, Scene};
 use super::settings::Settings;
 use crate::RenderError;
-use crate::job::{Clock, Layout, Plan, Run, Stage, leading_number, names_in, unless_gone};
+use crate::job::{Clock, Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::parts::PartWeights;
 use crate::record::{PairRecord, json_text};
 use crate::recording::Exposure;
 use crate::statistics::FlowSummary;
-use srflow_read::flow::Sample;
-use srflow_read::manifest::{
+use srflow_data::flow::Sample;
+use srflow_data::manifest::{
     FrameFiles, MANIFEST_NAME, Manifest, PairFiles, STATISTICS_NAME, SceneEntry, SceneSplit,
 };
 
@@ -125,8 +125,7 @@ impl<'a> Plan for Scenes<'a> {
         let manifest = Manifest::read(dir)?;
         for scene in &manifest.scenes {
             for kind in manifest.kinds() {
-                let folder = scene_folder(dir, scene, kind);
-                unless_gone(&folder, fs::remove_dir_all(&folder))?;
+                remove(&scene_folder(dir, scene, kind))?;
             }
         }
         for split in SceneSplit::ALL {
@@ -136,7 +135,7 @@ impl<'a> Plan for Scenes<'a> {
             }
         }
         for name in [STATISTICS_NAME, MANIFEST_NAME] {
-            unless_gone(&dir.join(name), fs::remove_file(dir.join(name)))?;
+            remove(&dir.join(name))?;
         }
         Ok(())
     }
@@ -207,16 +206,12 @@ impl Worker {
         if is_last {
             self.write_frame(work, scene, end, &next)?;
         }
-        for pair in run.units.clone().rev() {
-            if !work.begin() {
-                break;
-            }
+        work.each(run.units.clone().rev(), |pair| {
             let state = self.frame_before(&work.clock, scene, pair, &next)?;
             self.write_pair(work, scene, pair, &state, &next)?;
-            work.done();
             next = state;
-        }
-        Ok(())
+            Ok(())
+        })
     }
 
     /// Renders consecutive pairs of a scene: the samples that are read back from the files of [`Worker::make_run`].

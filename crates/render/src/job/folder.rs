@@ -8,19 +8,16 @@ use std::time::Duration;
 use serde_json::Value;
 use srflow_core::excerpt;
 use srflow_files::{
-    FileError, FileKind, FileProblem, SHA256SUMS, create_folder, parse_error_in_words, read_text,
-    remove_partial, write_file,
+    FileKind, SHA256SUMS, create_folder, parse_error_in_words, read_text, remove_partial, write_file,
 };
 
-use super::{Layout as _, Plan, Run};
+use super::layout::Layout as _;
+use super::plan::{Plan, Run};
 use crate::RenderError;
 
 /// Minimum age of a partial file before it counts as left by an interrupted run: another shard may be working in the same
 /// folder.
 const ABANDONED_AFTER: Duration = Duration::from_secs(60);
-
-/// How many processes may begin with the same part while one file of it is being written.
-const REMOVED_AT_MOST: u32 = 8;
 
 /// Claims `dir` for the planned dataset: a new folder, or one with the same dataset, begun before. `force` deletes another
 /// dataset there.
@@ -29,8 +26,7 @@ pub fn claim<P: Plan>(dir: &Path, plan: &P, force: bool) -> Result<(), RenderErr
     let path = dir.join(name);
     if force && path.exists() {
         let found = read_text(&path, FileKind::Json)?;
-        let hashes = dir.join(SHA256SUMS);
-        unless_gone(&hashes, fs::remove_file(&hashes))?;
+        remove(&dir.join(SHA256SUMS))?;
         plan.delete(dir, &found)?;
         create_folder(dir)?;
         return Ok(write_file(&path, plan.manifest())?);
@@ -123,29 +119,12 @@ pub fn tidy<P: Plan>(dir: &Path, plan: &P, runs: &[Run]) -> Result<(), RenderErr
     Ok(())
 }
 
-/// Writes a file, and again if another process removed it before it got its name: one that begins with the same part takes files in progress
-/// for what a killed process left.
-pub(crate) fn until_kept(mut write: impl FnMut() -> Result<(), FileError>) -> Result<(), FileError> {
-    let mut written = write();
-    for _ in 0..REMOVED_AT_MOST {
-        if !written.as_ref().is_err_and(was_removed) {
-            break;
-        }
-        written = write();
-    }
-    written
-}
-
-/// Whether a file in progress vanished from a folder that is still there.
-pub fn was_removed(error: &FileError) -> bool {
-    let vanished =
-        matches!(&error.problem, FileProblem::Place { error, .. } if error.kind() == io::ErrorKind::NotFound);
-    vanished && error.path.parent().is_some_and(Path::is_dir)
-}
-
-/// The result of removing `path`, which may already be gone.
-pub fn unless_gone(path: &Path, result: io::Result<()>) -> Result<(), RenderError> {
-    match result {
+/// Removes a file, or a folder with all that is in it, which may already be gone.
+///
+/// # Errors
+/// When it cannot be removed.
+pub(crate) fn remove(path: &Path) -> Result<(), RenderError> {
+    match if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) } {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(RenderError::io(path, error)),
         _ => Ok(()),
     }
@@ -183,30 +162,5 @@ mod tests {
             claim_as(&parent.path().join("other"), "a.json", "{}"),
             Err(RenderError::NotADataset { .. })
         ));
-    }
-
-    #[cfg(unix)]
-    #[test]
-    fn a_file_that_another_process_removed_is_written_again() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.bin");
-        let mut times = 0;
-        let mut write = |removed: u32| {
-            until_kept(|| {
-                write_file(&path, "a")?;
-                times += 1;
-                if times <= removed {
-                    fs::remove_file(&path).unwrap();
-                    fs::rename(folder.path().join("none"), &path).map_err(|error| {
-                        FileProblem::Place { doing: "renaming", error, advice: "" }.in_file(&path)
-                    })?;
-                }
-                Ok(())
-            })
-        };
-        write(2).unwrap();
-        assert_eq!(fs::read(&path).unwrap(), b"a");
-        assert_eq!(write(u32::MAX).unwrap_err().path, path);
-        assert!(until_kept(|| write_file(&folder.path().join("no/a.bin"), "a")).is_err());
     }
 }

@@ -7,11 +7,12 @@
 mod folder;
 mod hashes;
 mod layout;
+mod plan;
+mod rewrite;
 mod timing;
-mod work;
 
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 use srflow_core::Shard;
@@ -19,98 +20,16 @@ use srflow_files::{SHA256SUMS, remove_partial};
 
 use crate::RenderError;
 
-use folder::was_removed;
-pub(crate) use folder::{claim_as, first_difference, unless_gone, until_kept};
+pub(crate) use folder::{claim_as, first_difference, remove};
 pub(crate) use hashes::write_hashes;
 pub(crate) use layout::{Layout, leading_number, names_in};
+use plan::MAX_WORKERS;
+pub use plan::{Event, Request};
+pub(crate) use plan::{Plan, Run, Work};
+pub(crate) use rewrite::until_kept;
+use rewrite::was_removed;
 pub(crate) use timing::Clock;
 pub use timing::{Stage, StageTime};
-pub(crate) use work::Work;
-
-/// Maximum number of units in progress at once, each with about 0.3 GB of buffers at 2200x3208. Further threads share the
-/// units' work.
-const MAX_WORKERS: usize = 16;
-
-/// A dataset that is rendered unit by unit. Units are grouped by something costly: a scene, a subject's head.
-pub(crate) trait Plan: Sync + Sized {
-    type Layout: Layout;
-    type Group: Send + Sync;
-    /// The buffers of one worker.
-    type Worker;
-
-    /// Maximum number of units in a run.
-    const LONGEST_RUN: u32;
-
-    fn layout(&self) -> &Self::Layout;
-
-    /// The content of [`Layout::MANIFEST`].
-    fn manifest(&self) -> String;
-
-    /// The folders of a run's files.
-    fn folders(&self, dir: &Path, run: &Run) -> Vec<PathBuf>;
-
-    /// Whether the file called `name` in one of the run's folders belongs to the run.
-    fn makes(&self, run: &Run, folder: &Path, name: &str) -> bool;
-
-    /// Deletes only the files of a dataset whose manifest is `found`.
-    fn delete(&self, dir: &Path, found: &str) -> Result<(), RenderError>;
-
-    fn group(&self, number: u32) -> Result<Self::Group, RenderError>;
-
-    fn worker(&self) -> Self::Worker;
-
-    /// Renders the units of a run. Calls [`Work::begin`] before each and [`Work::done`] after each.
-    fn make(
-        &self,
-        work: &Work<'_, Self>,
-        group: &Self::Group,
-        run: &Run,
-        worker: &mut Self::Worker,
-    ) -> Result<(), RenderError>;
-}
-
-/// Consecutive units of one group.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Run {
-    pub group: u32,
-    pub units: Range<u32>,
-}
-
-/// What to render of a dataset, and where.
-#[derive(Clone, Copy)]
-pub struct Request<'a> {
-    pub dir: &'a Path,
-    pub shard: Shard,
-    /// Delete another dataset in the folder.
-    pub force: bool,
-    /// Stop after this many units.
-    pub stop_after: Option<u64>,
-    /// Asked before each unit, from any thread: whether to stop after those that are in progress.
-    pub stop: &'a (dyn Fn() -> bool + Sync),
-    pub on_event: &'a (dyn Fn(Event) + Sync),
-}
-
-impl<'a> Request<'a> {
-    /// The dataset, or the part of it to render.
-    pub fn new(dir: &'a Path) -> Self {
-        Self { dir, shard: Shard::WHOLE, force: false, stop_after: None, stop: &|| false, on_event: &|_| {} }
-    }
-}
-
-/// Progress. Units are frame pairs or clips.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Event {
-    /// Parts are brought together: so many units were found in them so far.
-    Found { units: u64 },
-    /// The files of so many units that several parts have were compared so far.
-    Compared { units: u64 },
-    /// The folder was scanned: `whole` of the shard's `units` already exist.
-    Started { units: u64, whole: u64 },
-    /// One more unit is complete; this run has written so many bytes.
-    Made { bytes: u64 },
-    /// The dataset is complete, and the files of so many of its units are hashed.
-    Hashed { units: u64 },
-}
 
 /// The result of one run.
 #[derive(Debug, Clone)]
@@ -121,7 +40,6 @@ pub struct Made {
     pub made: u64,
     /// Bytes written by this run.
     pub bytes: u64,
-    /// Duration.
     pub seconds: f64,
     /// The workers' time by stage.
     pub stages: Vec<StageTime>,
@@ -250,6 +168,8 @@ fn cut(runs: Vec<Run>, length: u32) -> Vec<Run> {
 
 #[cfg(test)]
 mod tests {
+    use std::path::PathBuf;
+
     use super::*;
 
     fn units(runs: &[Run]) -> Vec<(u32, u32)> {

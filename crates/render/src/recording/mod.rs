@@ -8,7 +8,7 @@ mod sensor;
 
 use srflow_core::Image;
 use srflow_core::random::Key;
-use srflow_read::manifest::Recording;
+use srflow_data::manifest::Recording;
 
 pub(crate) use blur::{Exposure, defocus};
 pub(crate) use sensor::{Light, add_noise, coded};

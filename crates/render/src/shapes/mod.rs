@@ -43,7 +43,6 @@ pub struct ShapesReport {
     pub made: u64,
     /// Bytes written by this run.
     pub bytes: u64,
-    /// Duration in seconds.
     pub seconds: f64,
     /// Whether it was stopped on request before all pairs were made.
     pub stopped: bool,

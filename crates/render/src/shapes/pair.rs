@@ -4,7 +4,7 @@ use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 use srflow_core::random::{Key, Stream};
 use srflow_core::{FlowField, Image, Mask, Plane};
-use srflow_read::flow::Sample;
+use srflow_data::flow::Sample;
 
 use super::motion::Motion;
 use super::outline::Outline;

@@ -8,7 +8,7 @@ use srflow_files::FlowFormat;
 
 use crate::RenderError;
 use crate::clap::Args;
-use crate::error::check_size;
+use crate::error::{check_size, require};
 
 /// Maximum number of pairs: file names have five digits.
 pub(super) const MAX_PAIRS: u32 = 99_999;
@@ -35,7 +35,7 @@ pub struct ShapesSettings {
     /// Typical motion in pixels, from the shortest to the longest; each octave is equally likely
     #[arg(long, value_name = "SHORTEST,LONGEST", default_value_t = Self::default().motion)]
     pub motion: Numbers<f32, 2>,
-    /// Folder of images that half of the layers show [default: procedural textures]
+    /// Folder of images for half of the layers [default: procedural textures]
     #[arg(long, value_name = "DIR")]
     pub textures: Option<PathBuf>,
     /// Random seed
@@ -67,19 +67,13 @@ pub(super) fn validates(pair: u32) -> bool {
 
 impl ShapesSettings {
     pub(super) fn validate(&self) -> Result<(), RenderError> {
-        let wrong = |field, found: String, expected: String| {
-            Err(RenderError::Setting(srflow_core::SettingError { field, found, expected }))
-        };
-        if !(1..=MAX_PAIRS).contains(&self.pairs) {
-            return wrong("pairs", self.pairs.to_string(), format!("1 to {MAX_PAIRS}"));
-        }
+        let pairs = (1..=MAX_PAIRS).contains(&self.pairs);
+        require("pairs", self.pairs, format!("1 to {MAX_PAIRS}"), pairs)?;
         check_size((self.size.width, self.size.height), SIDES)?;
         let [shortest, longest] = *self.motion;
-        if !(LENGTHS.contains(&shortest) && LENGTHS.contains(&longest) && shortest <= longest) {
-            let (low, high) = (LENGTHS.start(), LENGTHS.end());
-            let expected = format!("two lengths from {low} to {high} px, the shorter first, such as 0.25,32");
-            return wrong("motion", self.motion.to_string(), expected);
-        }
-        Ok(())
+        let (low, high) = (LENGTHS.start(), LENGTHS.end());
+        let expected = format!("two lengths from {low} to {high} px, the shorter first, such as 0.25,32");
+        let fine = LENGTHS.contains(&shortest) && LENGTHS.contains(&longest) && shortest <= longest;
+        require("motion", self.motion, expected, fine)
     }
 }

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -10,16 +9,17 @@ use serde::{Deserialize, Serialize};
 use srflow_core::random::{Key, Stream};
 use srflow_core::resize::resize_image_antialiased;
 use srflow_core::{Image, Spares};
+use srflow_data::flow::{MadeError, MadePairs, Sample};
 use srflow_files::{FlowFormat, read_image, write_flow_as, write_image_png, write_mask_png};
-use srflow_read::flow::{MadeError, MadePairs, Sample};
 
 use super::settings::MAX_PAIRS;
 use super::texture::Texture;
 use super::{ShapePair, ShapesSettings};
 use crate::RenderError;
-use crate::generate::{fingerprint, images_in};
-use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, unless_gone};
+use crate::error::require;
+use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::record::{json_text, read_record};
+use crate::setting_files::{fingerprint, images_in};
 
 const SETTINGS_NAME: &str = "shapes.json";
 const DATA: &str = "data";
@@ -184,10 +184,9 @@ impl Plan for ShapePairs {
     fn delete(&self, dir: &Path, found: &str) -> Result<(), RenderError> {
         // If the settings cannot be read, the dataset's files are unknown: they are overwritten instead.
         let Ok(other) = serde_json::from_str::<Arguments>(found) else { return Ok(()) };
-        let split = dir.join(SPLIT_NAME);
-        unless_gone(&split, fs::remove_file(&split))?;
+        remove(&dir.join(SPLIT_NAME))?;
         for file in (0..other.pairs).flat_map(|pair| other.files(dir, 0, pair)) {
-            unless_gone(&file, fs::remove_file(&file))?;
+            remove(&file)?;
         }
         Ok(())
     }
@@ -207,10 +206,7 @@ impl Plan for ShapePairs {
         run: &Run,
         photographs: &mut Photographs,
     ) -> Result<(), RenderError> {
-        for number in run.units.clone() {
-            if !work.begin() {
-                break;
-            }
+        work.each(run.units.clone(), |number| {
             let pair = work.clock.time(Stage::Rasterize, || self.pair(number, photographs))?;
             let [frame1, frame2, occlusion] = pictures(work.dir, number);
             work.write(Stage::Frames, &frame1, |path| write_image_png(path, &pair.frame1))?;
@@ -218,10 +214,8 @@ impl Plan for ShapePairs {
             work.write(Stage::Planes, &occlusion, |path| write_mask_png(path, &pair.occlusion))?;
             let flow_format = self.settings.flow_format;
             let flow = self.arguments.flow_path(work.dir, number);
-            work.write(Stage::Flow, &flow, |path| write_flow_as(path, &pair.flow, flow_format))?;
-            work.done();
-        }
-        Ok(())
+            work.write(Stage::Flow, &flow, |path| write_flow_as(path, &pair.flow, flow_format))
+        })
     }
 }
 
@@ -256,13 +250,8 @@ impl Photographs {
         let number = stream.below(paths.len() as u32) as usize;
         if !self.0.contains_key(&number) {
             let image = reduced(read_image(&paths[number])?);
-            if image.pixels().is_empty() {
-                return Err(RenderError::Setting(srflow_core::SettingError {
-                    field: "textures",
-                    found: paths[number].display().to_string(),
-                    expected: "images with at least one pixel".into(),
-                }));
-            }
+            let expected = "images with at least one pixel";
+            require("textures", paths[number].display(), expected, !image.pixels().is_empty())?;
             if self.0.len() == KEPT {
                 self.0.pop_first();
             }

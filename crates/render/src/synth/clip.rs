@@ -3,11 +3,11 @@
 use glam::{DVec3, EulerRot, Quat, Vec3};
 use srflow_avatar::{Avatar, HeadModelError, HeadPose, MicroExpression, PosedHead};
 use srflow_core::random::{Key, Stream};
-use srflow_read::micro_expression::EmotionClass;
 use srflow_splat::{Camera, Gaussians};
 
 use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};
-use crate::generate::{Rig, SmoothPath, View, unit_name};
+use crate::action_units::{action_unit_sets, unit_name};
+use crate::generate::{Rig, SmoothPath, View};
 use crate::recording::Light;
 
 /// Width of the frame relative to the face's landmarks.
@@ -22,17 +22,6 @@ const VIEW_DEGREES: [f32; 3] = [6.0, 4.0, 2.0];
 
 /// Seconds between control points of the drift.
 const DRIFT_KNOT_SECONDS: f32 = 0.25;
-
-/// Typical action units of each class (those coded in CASME II and SAMM).
-pub fn action_unit_sets(class: EmotionClass) -> &'static [&'static [u8]] {
-    match class {
-        EmotionClass::Negative => {
-            &[&[4], &[4, 7], &[9], &[4, 9], &[10], &[14], &[15], &[15, 17], &[17], &[20], &[1, 4], &[4, 5]]
-        }
-        EmotionClass::Positive => &[&[12], &[6, 12], &[12, 25]],
-        EmotionClass::Surprise => &[&[1, 2], &[1, 2, 5], &[5], &[1, 2, 26], &[2, 5]],
-    }
-}
 
 pub struct Clip {
     pub expression: MicroExpression,
@@ -67,7 +56,6 @@ impl Clip {
         })
     }
 
-    /// Number of frames.
     pub fn len(&self) -> usize {
         self.frames
     }
@@ -150,27 +138,4 @@ fn drift(stream: &mut Stream, settings: &SynthSettings, frames: usize) -> Smooth
         std::array::from_fn(|axis| f64::from(settings.drift * reach(axis) * stream.uniform(-1.0, 1.0)))
     });
     SmoothPath::through(points.collect())
-}
-
-#[cfg(test)]
-mod tests {
-    use srflow_avatar::HeadModel;
-
-    use super::*;
-
-    #[test]
-    fn the_built_in_head_shows_units_of_the_class() {
-        let model = HeadModel::builtin(1);
-        for class in EmotionClass::ALL {
-            for scene in 0..40 {
-                let key = Key::new(3).scene(scene);
-                let sets = action_unit_sets(class);
-                let shown =
-                    MicroExpression::random(&model, sets, key, 20, 200.0).expect("units of the class");
-                let mut numbers: Vec<u8> = shown.action_units.iter().map(|unit| unit.0).collect();
-                numbers.dedup();
-                assert!(sets.contains(&numbers.as_slice()), "{class:?} shows {numbers:?}");
-            }
-        }
-    }
 }

@@ -22,25 +22,19 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use srflow_files::write_atomically;
-use srflow_read::micro_expression::EmotionClass;
 
-pub(crate) use clip::action_unit_sets;
 pub use settings::SynthSettings;
 
 use crate::RenderError;
 use crate::job::{self, Request};
 use crate::record::read_record;
 use settings::ClipPlan;
-use srflow_read::micro_expression::{Annotation, Classes, PLAIN_NAME, write_plain};
+use srflow_data::micro_expression::{Annotation, Classes, EmotionClass, PLAIN_NAME, write_plain};
+use work::ClipRecord;
 pub(crate) use work::Clips;
-
-/// Name of the file with the arguments.
-const SETTINGS_NAME: &str = "synth.json";
-
-/// Name of the file of landmarks.
-pub const LANDMARKS_NAME: &str = "landmarks.csv";
+pub use work::LANDMARKS_NAME;
 
 /// The result of [`synthesize`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -56,28 +50,9 @@ pub struct SynthReport {
     pub classes: BTreeMap<&'static str, usize>,
     /// Mean length of the true flow from onset to apex on the head, in pixels, once the dataset is complete.
     pub mean_flow: Option<f64>,
-    /// Duration in seconds.
     pub seconds: f64,
     /// Whether it was stopped on request before all clips were rendered.
     pub stopped: bool,
-}
-
-/// The contents of `s03/c05.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct ClipRecord {
-    subject: String,
-    class: String,
-    /// Action units at the apex and their intensities, 0 to 1.
-    action_units: BTreeMap<String, f32>,
-    coded_units: String,
-    onset: u64,
-    apex: u64,
-    offset: u64,
-    frames: usize,
-    /// Mean length of the true flow from onset to apex on the head, in pixels.
-    mean_flow: f64,
-    /// The 68 landmarks of dlib in the onset frame, in pixels.
-    landmarks: Vec<[f64; 2]>,
 }
 
 /// Renders a micro-expression dataset, or one shard of it, with the threads of the current rayon pool. Existing files with

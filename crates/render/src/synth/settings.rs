@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use srflow_core::random::Key;
+use srflow_data::micro_expression::EmotionClass;
 use srflow_files::FlowFormat;
-use srflow_read::micro_expression::EmotionClass;
 
 use crate::RenderError;
 use crate::clap::Args;
+use crate::error::require;
 
 /// Number of frames at rest before the onset and after the offset.
 pub(super) const FRAMES_AT_REST: usize = 3;
@@ -38,10 +39,11 @@ pub struct SynthSettings {
     /// Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().noise)]
     pub noise: f32,
-    /// Head drift; 1 is up to a tenth of a degree and 0.15 mm to either side within a clip
+    /// Head drift within a clip; 1 is up to 0.1 degrees and 0.15 mm to either side
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().drift)]
     pub drift: f32,
-    /// Illumination changes; 1 is up to 2 % slowly, with a gradient over the face, and 0.3 % of flicker at 100 Hz
+    /// Illumination changes; 1 is slow changes of up to 2 %, with a gradient over the face, and 0.3 % flicker
+    /// at 100 Hz
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().lighting)]
     pub lighting: f32,
     /// Random seed
@@ -106,35 +108,17 @@ impl ClipPlan {
 impl SynthSettings {
     /// Checks the settings and lists the clips, by subject.
     pub(super) fn plan(&self) -> Result<Vec<ClipPlan>, RenderError> {
-        let wrong = |field, found: String, expected: &str| {
-            Err(RenderError::Setting(srflow_core::SettingError {
-                field,
-                found,
-                expected: expected.to_owned(),
-            }))
-        };
-        if !(1..=1000).contains(&self.subjects) {
-            return wrong("subjects", self.subjects.to_string(), "1 to 1000");
-        }
-        if !(1..=1000).contains(&self.clips) {
-            return wrong("clips", self.clips.to_string(), "1 to 1000");
-        }
-        if !(64..=4096).contains(&self.side) {
-            return wrong("side", self.side.to_string(), "64 to 4096 pixels");
-        }
-        if !(10.0..=2000.0).contains(&self.fps) {
-            return wrong("fps", self.fps.to_string(), "10 to 2000 frames per second");
-        }
-        for (field, value, most, expected) in [
-            ("intensity", self.intensity, 2.5, "above 0 to 2.5"),
-            ("noise", self.noise, 50.0, "0 to 50"),
-            ("drift", self.drift, 20.0, "0 to 20"),
-            ("lighting", self.lighting, 20.0, "0 to 20"),
-        ] {
-            let least_fits = if field == "intensity" { value > 0.0 } else { value >= 0.0 };
-            if !(least_fits && value <= most) {
-                return wrong(field, value.to_string(), expected);
-            }
+        require("subjects", self.subjects, "1 to 1000", (1..=1000).contains(&self.subjects))?;
+        require("clips", self.clips, "1 to 1000", (1..=1000).contains(&self.clips))?;
+        require("side", self.side, "64 to 4096 pixels", (64..=4096).contains(&self.side))?;
+        let fps = (10.0..=2000.0).contains(&self.fps);
+        require("fps", self.fps, "10 to 2000 frames per second", fps)?;
+        let intensity = self.intensity > 0.0 && self.intensity <= 2.5;
+        require("intensity", self.intensity, "above 0 to 2.5", intensity)?;
+        for (field, value, most) in
+            [("noise", self.noise, 50.0), ("drift", self.drift, 20.0), ("lighting", self.lighting, 20.0)]
+        {
+            require(field, value, format!("0 to {most}"), (0.0..=most).contains(&value))?;
         }
         let clip = |number: u32| {
             let (subject, within) = (number / self.clips, number % self.clips);

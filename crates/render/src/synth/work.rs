@@ -1,21 +1,25 @@
 //! Rendering clips: their frames, flow, mask and record.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatar, PosedHead};
+use srflow_data::micro_expression::PLAIN_NAME;
 use srflow_files::{write_file, write_flow_as, write_image_png, write_mask_png};
-use srflow_read::micro_expression::PLAIN_NAME;
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::clip::Clip;
 use super::settings::{ClipPlan, SynthSettings};
-use super::{ClipRecord, LANDMARKS_NAME, SETTINGS_NAME};
 use crate::RenderError;
-use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, unless_gone};
+use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::record::{json_text, read_record};
+
+/// Name of the file with the arguments.
+const SETTINGS_NAME: &str = "synth.json";
+
+/// Name of the file of landmarks.
+pub const LANDMARKS_NAME: &str = "landmarks.csv";
 
 /// The background of the heads: a laboratory's grey backdrop.
 const BACKDROP: [f32; 3] = [0.55, 0.56, 0.57];
@@ -28,6 +32,24 @@ struct Arguments {
     srflow_version: String,
     #[serde(flatten)]
     settings: SynthSettings,
+}
+
+/// The contents of `s03/c05.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ClipRecord {
+    pub subject: String,
+    pub class: String,
+    /// Action units at the apex and their intensities, 0 to 1.
+    pub action_units: BTreeMap<String, f32>,
+    pub coded_units: String,
+    pub onset: u64,
+    pub apex: u64,
+    pub offset: u64,
+    pub frames: usize,
+    /// Mean length of the true flow from onset to apex on the head, in pixels.
+    pub mean_flow: f64,
+    /// The 68 landmarks of dlib in the onset frame, in pixels.
+    pub landmarks: Vec<[f64; 2]>,
 }
 
 /// A dataset of clips, grouped by subject.
@@ -142,10 +164,9 @@ impl Plan for Clips {
         for clip in other.plan()? {
             // The record first: without it the clip does not count.
             for file in [clip.record(dir), clip.flow(dir, other.flow_format), clip.mask(dir)] {
-                unless_gone(&file, fs::remove_file(&file))?;
+                remove(&file)?;
             }
-            let folder = clip.folder(dir);
-            unless_gone(&folder, fs::remove_dir_all(&folder))?;
+            remove(&clip.folder(dir))?;
         }
         Ok(())
     }
@@ -168,14 +189,7 @@ impl Plan for Clips {
         run: &Run,
         renderer: &mut Renderer,
     ) -> Result<(), RenderError> {
-        for within in run.units.clone() {
-            if !work.begin() {
-                break;
-            }
-            renderer.make(work, avatar, self.clip(run.group, within))?;
-            work.done();
-        }
-        Ok(())
+        work.each(run.units.clone(), |within| renderer.make(work, avatar, self.clip(run.group, within)))
     }
 }
 

@@ -41,7 +41,7 @@ pub struct ExportJob {
     #[arg(long, conflicts_with = "animate")]
     #[serde(default)]
     pub no_mesh: bool,
-    /// Move the mesh of a .glb through this many timesteps of the motion, from --timestep on
+    /// Animate the mesh of a .glb over N timesteps, starting at --timestep
     #[arg(long, value_name = "N", conflicts_with = "action_units")]
     #[serde(default)]
     pub animate: Option<usize>,
@@ -53,11 +53,11 @@ pub struct ExportJob {
     #[arg(long, value_name = "CAM")]
     #[serde(default)]
     pub camera: Option<PathBuf>,
-    /// Size of the pictures, where CAM does not store one
+    /// Size of the pictures, if CAM does not store it
     #[arg(long, value_name = "WIDTHxHEIGHT", requires = "camera")]
     #[serde(default)]
     pub size: Option<Size>,
-    /// Direction that is up in a .ply: y, as in the world of the head, or -y, as many viewers of .ply expect it
+    /// Up direction of the .ply: y, as for srflow's heads, or -y, as many viewers expect
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true, default_value_t)]
     #[serde(default)]
     pub ply_up: Up,

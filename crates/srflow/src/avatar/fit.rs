@@ -41,11 +41,13 @@ pub struct FitJob {
     /// Folder to write
     #[arg(short, long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Landmarks: a table as landmarks.csv, or a folder of iBUG's .pts named as the pictures [default: DATA/landmarks.csv]
+    /// Landmarks: a table like landmarks.csv, or a folder of iBUG's .pts files named like the pictures
+    /// [default: DATA/landmarks.csv]
     #[arg(long, value_name = "PATH", conflicts_with = "landmarks_of")]
     #[serde(default)]
     pub landmarks: Option<PathBuf>,
-    /// Landmarks of one camera as written by OpenFace, or by MediaPipe as columns x_0, y_0, ...; may be repeated
+    /// Landmarks of one camera, as OpenFace writes them, or MediaPipe's as columns x_0, y_0, ...; may be
+    /// repeated
     #[arg(long, value_name = "CAMERA=FILE")]
     #[serde(default)]
     pub landmarks_of: Vec<TableOf>,
@@ -53,7 +55,7 @@ pub struct FitJob {
     #[arg(long, value_name = "N,N,...", value_delimiter = ',')]
     #[serde(default)]
     pub cameras: Vec<u32>,
-    /// Standard deviation of the landmarks' coordinates in pixels [default: estimated]
+    /// Standard deviation of the landmarks, in pixels [default: estimated]
     #[arg(long, value_name = "PIXELS")]
     #[serde(default)]
     pub noise: Option<f64>,
@@ -69,7 +71,7 @@ pub struct FitJob {
     #[arg(long, value_name = "N", default_value_t = default_seed())]
     #[serde(default = "default_seed")]
     pub seed: u64,
-    /// Compare the mesh with that of the true head, which `srflow avatar capture` wrote into this folder; may be DATA itself
+    /// Compare the mesh with the true one in this capture of `srflow avatar capture`; may be DATA itself
     #[arg(long, value_name = "DIR")]
     #[serde(default)]
     pub truth: Option<PathBuf>,
@@ -356,10 +358,7 @@ fn write_reach(f: &mut fmt::Formatter, reach: &Reach) -> fmt::Result {
     ] {
         if !unknown.is_empty() {
             let of = of.map(|of| format!(" ({} of {of})", unknown.len())).unwrap_or_default();
-            write_line(
-                f,
-                format_args!("Not determined by the landmarks: {what}{of}: {}", listed(unknown)),
-            )?;
+            write_line(f, format_args!("Not determined by the landmarks: {what}{of}: {}", listed(unknown)))?;
         }
     }
     Ok(())

@@ -31,17 +31,17 @@ pub struct ImportJob {
     /// Folder of the pictures
     #[arg(value_name = "PICTURES")]
     pub pictures: PathBuf,
-    /// How pictures are named below PICTURES, with {camera} and {timestep}; without an ending, PNG and JPEG
+    /// Names of the pictures below PICTURES, with {camera} and {timestep}; without an extension, PNG and JPEG
     #[arg(long, value_name = "PATTERN")]
     pub pattern: PicturePattern,
-    /// How masks are named below PICTURES, white where the head is
+    /// Names of the masks below PICTURES, white on the head
     #[arg(long, value_name = "PATTERN")]
     #[serde(default)]
     pub masks: Option<PicturePattern>,
     /// File of the cameras, or folder of a COLMAP model
     #[arg(long, value_name = "FILE")]
     pub cameras: PathBuf,
-    /// Metres in a unit of the cameras: heads have sizes in metres
+    /// Metres per unit of the cameras
     #[arg(long, value_name = "METRES", default_value_t = default_unit())]
     #[serde(default = "default_unit")]
     pub metres_per_unit: f64,

@@ -31,7 +31,7 @@ pub struct UnitsJob {
     #[arg(long, value_name = "N", default_value_t = default_seed())]
     #[serde(default = "default_seed")]
     pub seed: u64,
-    /// Table to write (.json): the weights of expressions and the turns of joints of each unit
+    /// Table to write (.json): expression weights and joint rotations of each unit
     #[arg(short, long, value_name = "FILE")]
     #[serde(default)]
     pub output: Option<PathBuf>,

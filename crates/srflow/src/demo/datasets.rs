@@ -6,12 +6,12 @@ use anyhow::{Context as _, bail};
 use rayon::prelude::*;
 use srflow_avatar::{Avatars, HeadSource};
 use srflow_core::{FlowField, Image, Size, flow_colors};
+use srflow_data::flow::{DatasetSpec, Entry, FlowDataset, Sample, Split};
+use srflow_data::manifest::Manifest;
 use srflow_eval::head_window;
 use srflow_eval::report::{
     Film, Panel, Picture, flow_scale, sample_panels, shrink_flow, shrink_image, shrink_mask,
 };
-use srflow_read::flow::{DatasetSpec, Entry, FlowDataset, Sample, Split};
-use srflow_read::manifest::Manifest;
 use srflow_render::generate::{self, Background, Report, Settings};
 
 use crate::Watch;

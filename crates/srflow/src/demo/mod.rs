@@ -13,10 +13,10 @@ use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatars, HeadSource};
 use srflow_core::{FlowEstimator, Size};
+use srflow_data::flow::{DatasetSpec, FlowDataset};
 use srflow_eval::report::{Figure, pair_figures};
 use srflow_eval::{Evaluation, Settings};
 use srflow_files::write_file;
-use srflow_read::flow::{DatasetSpec, FlowDataset};
 use srflow_render::generate::FULL_SIZE;
 
 use crate::clap::Args;
@@ -44,13 +44,13 @@ pub struct DemoJob {
     /// Head model
     #[arg(long, value_name = "HEAD", default_value_t = Self::default().head, help = crate::render::head_help())]
     pub head: HeadSource,
-    /// Random seed; another seed gives other heads
+    /// Random seed; each seed renders other heads
     #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
     pub seed: u64,
     /// Size of the large frames, WIDTHxHEIGHT; smaller is faster
     #[arg(long, value_name = "SIZE", default_value_t = Self::default().size)]
     pub size: Size,
-    /// Folder of KITTI 2015, to add real photographs with true flow
+    /// Folder of KITTI 2015, to also score photographs with true flow
     #[arg(long, value_name = "DIR", conflicts_with = "pair")]
     pub kitti: Option<PathBuf>,
     /// Two photographs and the true flow between them

@@ -7,9 +7,9 @@ use std::time::UNIX_EPOCH;
 use anyhow::Context as _;
 use serde_json::json;
 use srflow_core::Shard;
+use srflow_data::flow::{Entry, EntryFile, FlowDataset};
 use srflow_eval::{KeptPair, KeptScores, ScoredPair};
 use srflow_files::{JsonLines, create_folder, read_json_lines};
-use srflow_read::flow::{Entry, EntryFile, FlowDataset};
 
 use super::EvalJob;
 use crate::Watch;

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use srflow_core::{SettingError, Shard, Size};
+use srflow_data::flow::{DatasetSpec, FlowDataset, KINDS, Split};
 use srflow_eval::report::{Figure, pair_figures, score_report};
 use srflow_eval::{
     Evaluation, Method, MethodRecord, OnFailure, ScoredPair, Settings, TextStyle, Window, joined,
@@ -17,7 +18,6 @@ use srflow_eval::{
 use srflow_face::FaceBox;
 use srflow_figure::{Content, Pair, Plan, Scale, Scales, Source as Flow, Style};
 use srflow_files::{create_folder, write_file};
-use srflow_read::flow::{DatasetSpec, FlowDataset, KINDS, Split};
 
 use self::kept::Kept;
 use crate::clap::Args;
@@ -81,22 +81,22 @@ pub struct EvalJob {
     #[arg(long, value_name = "N")]
     #[serde(default)]
     pub limit: Option<NonZeroU32>,
-    /// Pairs that a network estimates at once, if they follow each other and have one size; scores do not change, and each
-    /// pair's time is an equal share of the batch's
+    /// Pairs to estimate at once with a network, if they are consecutive and of one size; scores do not
+    /// change, and each pair's time is an equal share of the batch's
     #[arg(long, value_name = "N", default_value_t = one())]
     #[serde(default = "one")]
     pub batch: u16,
-    /// Also score skin, eyes, mouth, hair, neck, the rim of the head (the 3 px beside the background; no other region contains
-    /// them) and the background, by the region maps of `srflow render --regions`
+    /// Also score the regions of `srflow render --regions`: skin, eyes, mouth, hair, neck, the rim of the
+    /// head (3 px wide, in no other region) and the background
     #[arg(long)]
     #[serde(default)]
     pub regions: bool,
-    /// Also score the pixels whose true flow is shorter than this, e.g. 0.5; of the head, where there are masks
+    /// Also score the pixels whose true flow is shorter than this, e.g. 0.5; with masks, only on the head
     #[arg(long, value_name = "PIXELS", allow_negative_numbers = true)]
     #[serde(default)]
     pub small_motion: Option<f32>,
-    /// Also score the motion that remains inside the head (without a mask, in the frame) when that of the head, its best affine
-    /// fit, is taken away from the estimated and the true flow: the correlation of the two, and how strong the estimated one is
+    /// Also score the motion of the expression: subtract the head's motion, the best affine fit within the
+    /// mask (or the frame), from estimated and true flow, and compare the rest by correlation and strength
     #[arg(long)]
     #[serde(default)]
     pub expression: bool,
@@ -112,8 +112,8 @@ pub struct EvalJob {
     #[arg(long, value_name = "DIR")]
     #[serde(default)]
     pub save_flow: Option<PathBuf>,
-    /// Also write a figure for a paper into this folder: figure.svg, figure.pdf, and its panels as PNGs of full size; `srflow figure`
-    /// makes others
+    /// Also write a figure for a paper into this folder: figure.svg, figure.pdf and every panel as PNG; see
+    /// also `srflow figure`
     #[arg(long, value_name = "DIR")]
     #[serde(default)]
     pub figure: Option<PathBuf>,

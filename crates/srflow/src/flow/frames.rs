@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
 use srflow_core::Image;
+use srflow_data::flow::pictures;
 use srflow_files::{IMAGE_EXTENSIONS, read_image, read_image_size};
-use srflow_read::flow::pictures;
 
 use crate::error::wrong_settings;
 use crate::video::{self, VideoReader, is_video};

@@ -29,6 +29,7 @@ use crate::error::wrong_settings;
 use crate::face::{FaceArgs, FoundFace};
 use crate::large_frames::Resolution;
 use crate::methods;
+use crate::output::write_line;
 use crate::rendering::{Rendered, ShardArgs};
 use crate::video::{VideoWriter, is_video};
 use crate::watch::Count;
@@ -94,8 +95,8 @@ pub struct FlowJob {
     #[arg(long, value_name = "OUT", help = ExtraOutput::Occlusion.help())]
     #[serde(default)]
     pub occlusion: Option<PathBuf>,
-    /// Length in pixels of the flow with full colour, and the uncertainty with the brightest [default: the
-    /// largest of each pair]
+    /// Flow length in pixels of full colour, and the uncertainty drawn brightest [default: the largest of
+    /// each pair]
     #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = crate::convert::positive)]
     #[serde(default)]
     pub viz_max: Option<f32>,
@@ -107,7 +108,7 @@ pub struct FlowJob {
     #[arg(long)]
     #[serde(default)]
     pub warm_start: bool,
-    /// Pairs of a sequence that a network estimates at once
+    /// Pairs of a sequence to estimate at once with a network
     #[arg(long, value_name = "N", default_value_t = one(), value_parser = clap::value_parser!(u16).range(1..=MOST_AT_ONCE))]
     #[serde(default = "one")]
     pub batch: u16,
@@ -115,8 +116,8 @@ pub struct FlowJob {
     #[arg(long)]
     #[serde(default)]
     pub force: bool,
-    /// With --face, --face-box or --landmarks: also write the cropped frames, which the flow belongs to, as
-    /// PNG files
+    /// With --face, --face-box or --landmarks: also write the cropped frames as PNG files; the flow is that
+    /// of these frames
     #[arg(long, value_name = "DIR")]
     #[serde(default)]
     pub save_crops: Option<PathBuf>,

@@ -5,8 +5,8 @@ use std::fmt;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
+use srflow_data::micro_expression::{ApexRow, Clip, ClipSource, write_apex_list};
 use srflow_mer::{ApexErrors, ApexRule, apex_errors, spot_apexes};
-use srflow_read::micro_expression::{ApexRow, Clip, ClipSource, write_apex_list};
 
 use super::SourceArgs;
 use crate::clap::Args;

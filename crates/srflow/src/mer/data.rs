@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize, Serializer};
-use srflow_read::micro_expression::{
+use srflow_data::micro_expression::{
     Annotation, Classes, ClipDataset, ClipSource, DropReason, Dropped, Labels, MissingFrames, check_distinct,
     count_classes, published_counts,
 };

@@ -4,9 +4,11 @@ use std::fmt;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
+use srflow_data::micro_expression::ClipSource;
 use srflow_eval::MethodRecord;
-use srflow_mer::{DataRecord, FEATURE_SIDE, FeatureRecipe, RunMethod, RunWatch, compute_features, write_features};
-use srflow_read::micro_expression::ClipSource;
+use srflow_mer::{
+    DataRecord, FEATURE_SIDE, FeatureRecipe, RunMethod, RunWatch, compute_features, write_features,
+};
 
 use super::progress::RunProgress;
 use super::{PreparationArgs, SourceArgs};

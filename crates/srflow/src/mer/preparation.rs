@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
+use srflow_data::micro_expression::ClipDataset;
 use srflow_mer::{ApexRule, Preparation, ResizeOrder, StrainFormula};
-use srflow_read::micro_expression::ClipDataset;
 
 use crate::Watch;
 use crate::clap::Args;
@@ -20,7 +20,7 @@ pub struct PreparationArgs {
     /// Formula of the optical strain: literature or off-tanet
     #[arg(long, value_name = "FORMULA", default_value_t)]
     pub strain: StrainFormula,
-    /// Resize the frames to 112x112 before the flow is estimated, or the flow after
+    /// Resize to 112x112: the frames before estimating the flow, or the flow after
     #[arg(long, value_name = "ORDER", default_value_t)]
     pub resize: ResizeOrder,
     #[command(flatten)]

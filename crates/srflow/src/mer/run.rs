@@ -5,12 +5,12 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize, Serializer};
 use srflow_core::Shard;
+use srflow_data::micro_expression::ClipSource;
 use srflow_files::create_folder;
 use srflow_mer::{
-    ClassifierEntry, Preparation, Protocol, ResultsFolder, ResultsRecord, RunError, RunFolders, RunMethod, RunResults,
-    RunSettings, RunWatch, Sets, TrainedPart, all_score_tables, by_set, unseen_classes,
+    ClassifierEntry, Preparation, Protocol, ResultsFolder, ResultsRecord, RunError, RunFolders, RunMethod,
+    RunResults, RunSettings, RunWatch, Sets, TrainedPart, all_score_tables, by_set, unseen_classes,
 };
-use srflow_read::micro_expression::ClipSource;
 
 use super::progress::RunProgress;
 use super::{PreparationArgs, SourceArgs};
@@ -217,7 +217,9 @@ impl fmt::Display for RunReport {
                 "Part {} is complete: {folds} of {all_folds} folds. When all parts are, the same command without --shard writes the results.",
                 shard.shard
             ),
-            Self::Stopped { .. } => writeln!(f, "Stopped; the same run continues after the last finished fold"),
+            Self::Stopped { .. } => {
+                writeln!(f, "Stopped; the same run continues after the last finished fold")
+            }
         }
     }
 }

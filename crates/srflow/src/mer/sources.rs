@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
 use serde::{Deserialize, Serialize};
-use srflow_read::micro_expression::{
+use srflow_data::micro_expression::{
     CLASS_SETS, CLIP_KINDS, Classes, ClipDataset, ClipSource, check_distinct,
 };
 
@@ -27,7 +27,7 @@ pub struct SourceArgs {
     /// Tolerate missing frames; clips without onset or apex are dropped
     #[arg(long)]
     pub allow_missing: bool,
-    /// Accept clips that consist of onset, apex and offset frames only
+    /// Accept clips that contain only the onset, apex and offset frames
     #[arg(long)]
     pub only_key_frames: bool,
 }

@@ -57,7 +57,7 @@ pub struct StrainJob {
     #[arg(long, value_name = "FORMULA", default_value_t)]
     #[serde(default)]
     pub formula: StrainFormula,
-    /// Resize the frames to 112x112 before the flow is estimated, or the flow after
+    /// Resize to 112x112: the frames before estimating the flow, or the flow after
     #[arg(long, value_name = "ORDER", default_value_t, conflicts_with = "size")]
     #[serde(default)]
     pub resize: ResizeOrder,

@@ -13,9 +13,9 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
 use srflow_core::{FlowEstimator, FlowField, Image};
+use srflow_data::flow::FlowDataset;
 use srflow_eval::{FlowFiles, Zero};
 use srflow_nets::{Architecture, Iterations, Wrapped};
-use srflow_read::flow::FlowDataset;
 
 use crate::Watch;
 use crate::error::wrong_settings;
@@ -208,8 +208,8 @@ fn label_and_files(text: &str) -> Option<(Option<&str>, &str)> {
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct MethodParameters {
-    /// Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps
-    /// say otherwise; the other parameters of tvl1 apply as well
+    /// Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and
+    /// --warps are set; the other parameters of tvl1 apply too
     #[arg(long)]
     refine: bool,
     #[command(flatten)]

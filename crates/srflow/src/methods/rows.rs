@@ -35,10 +35,10 @@ fn names() -> String {
 pub struct RowsArgs {
     #[arg(long, value_name = "FILE|NAME", help = format!("Methods with their names and weights: a TOML file, or one of {}", names()))]
     pub rows: Option<String>,
-    /// Folder that the weights of --rows are looked for in
+    /// Folder with the weights of --rows
     #[arg(long, value_name = "DIR", default_value_os_t = Self::default().weights_dir, requires = "rows")]
     weights_dir: PathBuf,
-    /// Leave out rows whose weights, or whose networks in this version, are missing, and say so in the table
+    /// Leave out rows whose weights or networks are missing; the table lists them
     #[arg(long, requires = "rows")]
     skip_missing: bool,
 }

@@ -22,7 +22,7 @@ pub struct CameraArgs {
     /// up]
     #[arg(long, value_name = "CAM")]
     pub camera: Option<PathBuf>,
-    /// Camera of CAM to use: its name (that of its picture, with or without folder and extension), or its number from 0
+    /// Camera of CAM: its picture's name, with or without folder and extension, or its number from 0
     #[arg(long, value_name = "NAME|N", requires = "camera")]
     pub view: Option<String>,
     /// Camera of the next frame, of the same image size
@@ -31,7 +31,7 @@ pub struct CameraArgs {
     /// Camera to use from --camera-next, or from --camera without --camera-next
     #[arg(long, value_name = "NAME|N")]
     pub view_next: Option<String>,
-    /// Size of the pictures, in the camera's own proportions; required where CAM has no size
+    /// Size of the pictures, with the camera's aspect ratio; required if CAM has no size
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     pub size: Option<Size>,
 }

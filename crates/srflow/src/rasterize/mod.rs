@@ -71,8 +71,8 @@ pub struct RasterizeJob {
     #[command(flatten)]
     #[serde(flatten)]
     pub cameras: CameraArgs,
-    /// Move the camera around the centre of the Gaussians, to the right where DEGREES are positive [default: a frame every 3
-    /// degrees]
+    /// Move the camera around the centre of the Gaussians; positive DEGREES move it to the right [default: a
+    /// frame every 3 degrees]
     #[arg(long, value_name = "DEGREES[xFRAMES]", allow_hyphen_values = true, conflicts_with_all = ["next", "camera_next", "view_next"])]
     #[serde(default)]
     pub orbit: Option<Orbit>,
@@ -95,11 +95,12 @@ pub struct RasterizeJob {
     #[arg(long, value_enum, default_value_t)]
     #[serde(default)]
     pub pixel_convention: Convention,
-    /// Reduce the opacity of Gaussians smaller than a pixel, for Gaussians that were trained in this way [default: as their file says]
+    /// Reduce the opacity of Gaussians smaller than a pixel, for Gaussians trained with antialiasing
+    /// [default: as their file says]
     #[arg(long)]
     #[serde(default)]
     pub antialiased: bool,
-    /// Sort the Gaussians at each pixel along its ray, instead of once by their centres: nothing pops when the camera moves
+    /// Sort the Gaussians along the ray of each pixel, to avoid popping when the camera moves
     #[arg(long)]
     #[serde(default)]
     pub sort_per_pixel: bool,

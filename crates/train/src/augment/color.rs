@@ -4,8 +4,8 @@
 use srflow_core::random::Stream;
 use srflow_core::{Image, pillow_grey};
 
-use super::AugmentConfig;
-use super::hue::HueTables;
+use super::config::AugmentConfig;
+use super::hue::{HueTables, is_grey};
 
 /// One of the four adjustments.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -85,11 +85,6 @@ fn mix(values: &mut [u8], from: u8, factor: f32) {
     for value in values {
         *value = table[usize::from(*value)];
     }
-}
-
-/// Whether a colour has neither hue nor saturation.
-pub(super) fn is_grey([r, g, b]: [u8; 3]) -> bool {
-    r == g && g == b
 }
 
 /// The mean of the grey of all pixels, rounded.

@@ -1,7 +1,8 @@
 use serde::{Deserialize, Serialize};
 
-use super::AugmentError;
-use srflow_read::flow::TruthDensity;
+use srflow_data::flow::TruthDensity;
+
+use super::error::AugmentError;
 
 /// Random changes to a training sample.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -112,27 +113,23 @@ impl AugmentConfig {
     /// # Errors
     /// Names the first number out of range, and its range.
     pub(super) fn check(&self) -> Result<(), AugmentError> {
-        let wrong = |key, found: String, expected| Err(AugmentError::Setting { key, found, expected });
-        if !self.crop.iter().all(|side| (1..=1 << 16).contains(side)) {
-            let [width, height] = self.crop;
-            return wrong(
-                "crop",
-                format!("[{width}, {height}]"),
-                "[WIDTH, HEIGHT], each from 1 to 65536 pixels",
-            );
-        }
+        let require = |key, found: String, expected, fine| match fine {
+            true => Ok(()),
+            false => Err(AugmentError::Setting { key, found, expected }),
+        };
+        let number = |key, value: f32, most: f32, expected| {
+            require(key, value.to_string(), expected, (0.0..=most).contains(&value))
+        };
+        let [width, height] = self.crop;
+        let expected = "[WIDTH, HEIGHT], each from 1 to 65536 pixels";
+        let fine = self.crop.iter().all(|side| (1..=1 << 16).contains(side));
+        require("crop", format!("[{width}, {height}]"), expected, fine)?;
         let [low, high] = self.log2_scale;
-        if !(-8.0 <= low && low <= high && high <= 8.0) {
-            return wrong(
-                "log2_scale",
-                format!("[{low}, {high}]"),
-                "[LOW, HIGH] with -8 <= LOW <= HIGH <= 8",
-            );
-        }
-        if !(0.0..=8.0).contains(&self.max_log2_stretch) {
-            return wrong("max_log2_stretch", self.max_log2_stretch.to_string(), "a number from 0 to 8");
-        }
-        let probabilities = [
+        let fine = -8.0 <= low && low <= high && high <= 8.0;
+        let expected = "[LOW, HIGH] with -8 <= LOW <= HIGH <= 8";
+        require("log2_scale", format!("[{low}, {high}]"), expected, fine)?;
+        number("max_log2_stretch", self.max_log2_stretch, 8.0, "a number from 0 to 8")?;
+        for (key, value) in [
             ("scale_probability", self.scale_probability),
             ("stretch_probability", self.stretch_probability),
             ("horizontal_flip", self.horizontal_flip),
@@ -140,33 +137,20 @@ impl AugmentConfig {
             ("shift_probability", self.shift_probability),
             ("asymmetric_probability", self.asymmetric_probability),
             ("eraser_probability", self.eraser_probability),
-        ];
-        for (key, value) in probabilities {
-            if !(0.0..=1.0).contains(&value) {
-                return wrong(key, value.to_string(), "a probability from 0 to 1");
-            }
+        ] {
+            number(key, value, 1.0, "a probability from 0 to 1")?;
         }
-        if self.max_shift > 1 << 16 {
-            return wrong("max_shift", self.max_shift.to_string(), "at most 65536 pixels");
+        let shift = self.max_shift;
+        require("max_shift", shift.to_string(), "at most 65536 pixels", shift <= 1 << 16)?;
+        for (key, value) in
+            [("brightness", self.brightness), ("contrast", self.contrast), ("saturation", self.saturation)]
+        {
+            number(key, value, 100.0, "a number from 0 to 100")?;
         }
-        let changes =
-            [("brightness", self.brightness), ("contrast", self.contrast), ("saturation", self.saturation)];
-        for (key, value) in changes {
-            if !(0.0..=100.0).contains(&value) {
-                return wrong(key, value.to_string(), "a number from 0 to 100");
-            }
-        }
-        if !(0.0..=0.5).contains(&self.hue) {
-            return wrong("hue", self.hue.to_string(), "a part of the colour circle from 0 to 0.5");
-        }
+        number("hue", self.hue, 0.5, "a part of the colour circle from 0 to 0.5")?;
         let [shortest, longest] = self.eraser_sides;
-        if !(1 <= shortest && shortest <= longest && longest <= 1 << 16) {
-            return wrong(
-                "eraser_sides",
-                format!("[{shortest}, {longest}]"),
-                "[SHORTEST, LONGEST] with 1 <= SHORTEST <= LONGEST <= 65536 pixels",
-            );
-        }
-        Ok(())
+        let fine = 1 <= shortest && shortest <= longest && longest <= 1 << 16;
+        let expected = "[SHORTEST, LONGEST] with 1 <= SHORTEST <= LONGEST <= 65536 pixels";
+        require("eraser_sides", format!("[{shortest}, {longest}]"), expected, fine)
     }
 }

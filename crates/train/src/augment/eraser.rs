@@ -3,7 +3,7 @@
 use srflow_core::Image;
 use srflow_core::random::Stream;
 
-use super::AugmentConfig;
+use super::config::AugmentConfig;
 
 /// With the configured probability, fills one or two rectangles with the frame's mean colour. A rectangle may start at any
 /// pixel and is clipped at the border.

@@ -1,9 +1,9 @@
 //! The mapping from augmented pixels to those of the sample.
 
 use srflow_core::random::Key;
+use srflow_data::flow::TruthDensity;
 
-use super::AugmentConfig;
-use srflow_read::flow::TruthDensity;
+use super::config::AugmentConfig;
 
 /// Scale, then mirror, then crop.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,7 +1,5 @@
 //! Rotating the hue in Pillow's 8-bit HSV, whose conversions round in both directions.
 
-use super::color::is_grey;
-
 /// Both conversions as lookup tables: there are few distinct inputs.
 #[derive(Debug, Clone)]
 pub(super) struct HueTables {
@@ -75,6 +73,11 @@ impl HueTables {
         let channels = [value, middle, self.smallest[(usize::from(saturation) << 8) | usize::from(value)]];
         shade.order.map(|which| channels[usize::from(which)])
     }
+}
+
+/// Whether a colour has neither hue nor saturation.
+pub(super) fn is_grey([r, g, b]: [u8; 3]) -> bool {
+    r == g && g == b
 }
 
 /// `value (1 - by)`, rounded.

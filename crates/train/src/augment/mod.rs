@@ -6,6 +6,7 @@
 mod color;
 mod config;
 mod eraser;
+mod error;
 mod geometry;
 mod hue;
 mod resample;
@@ -17,31 +18,12 @@ use srflow_core::random::Key;
 use srflow_core::{FlowField, Mask, SizeMismatch};
 
 pub use config::AugmentConfig;
+pub use error::AugmentError;
 
 use color::ColorJitter;
 use geometry::Geometry;
 use hue::HueTables;
-use srflow_read::flow::{Sample, TruthDensity};
-
-/// Errors of augmentation.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum AugmentError {
-    /// A number of the configuration is out of range.
-    #[error("augmentation.{key} = {found}: expected {expected}")]
-    Setting {
-        /// The key in the configuration.
-        key: &'static str,
-        found: String,
-        /// The allowed values.
-        expected: &'static str,
-    },
-    /// The frames are empty.
-    #[error("the frames are {}x{} (WIDTHxHEIGHT): expected at least one pixel", .0.0, .0.1)]
-    Empty((usize, usize)),
-    /// The parts of a sample have different sizes.
-    #[error(transparent)]
-    SizeMismatch(#[from] SizeMismatch),
-}
+use srflow_data::flow::{Sample, TruthDensity};
 
 /// Applies random changes to samples.
 #[derive(Debug, Clone)]

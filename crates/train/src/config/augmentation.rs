@@ -1,7 +1,7 @@
 use crate::augment::AugmentConfig;
 use serde::{Deserialize, Serialize};
 use srflow_core::Size;
-use srflow_read::flow::TruthDensity;
+use srflow_data::flow::TruthDensity;
 
 /// Random augmentation of the training samples. Probabilities are in `0..=1`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -2,7 +2,8 @@
 
 use burn::tensor::Device;
 
-use super::{Config, ConfigError};
+use super::error::ConfigError;
+use super::{Config, DataConfig, MadeKind, RenderedConfig, TrainingConfig};
 use crate::loss::LossError;
 
 /// More than any network needs; larger values are typing mistakes that would exhaust memory.
@@ -17,14 +18,11 @@ impl Config {
         let training = &self.training;
         let validation = &self.validation;
         let whole = |key, value: usize, least: usize, most: usize| {
-            let found = value.to_string();
-            Key { key, found, expected: format!("a whole number from {least} to {most}") }
-                .require((least..=most).contains(&value))
+            let expected = format!("a whole number from {least} to {most}");
+            require(key, value, expected, (least..=most).contains(&value))
         };
-        let number = |key, value: f64, expected: &str, fine: bool| {
-            Key { key, found: value.to_string(), expected: expected.to_owned() }
-                .require(fine && value.is_finite())
-        };
+        let number =
+            |key, value: f64, expected: &str, fine| require(key, value, expected, fine && value.is_finite());
         whole("data.workers", self.data.workers, 1, 256)?;
         whole("data.prefetch", self.data.prefetch, 1, 4096)?;
         whole("training.batch", training.batch, 1, 4096)?;
@@ -32,9 +30,8 @@ impl Config {
         whole("training.accumulate", training.accumulate, 1, training.batch)?;
         self.data.check_made(training.pairs())?;
         if let Some(made) = validation.data.iter().find(|source| source.made().is_some()) {
-            let expected =
-                "a dataset in files, such as one that `srflow shapes` or `srflow render` writes".to_owned();
-            return Err(ConfigError::Value { key: "validation.data", found: made.to_string(), expected });
+            let expected = "a dataset in files, such as one that `srflow shapes` or `srflow render` writes";
+            require("validation.data", made, expected, false)?;
         }
         whole("training.iterations", training.iterations, 1, MOST_ITERATIONS)?;
         whole("validation.iterations", validation.iterations, 0, MOST_ITERATIONS)?;
@@ -59,18 +56,14 @@ impl Config {
         if self.loss.sequence.needs_mixture() && !network.mixture {
             return Err(LossError::NoMixture.into());
         }
-        let found = network.name.to_owned();
-        Key { key: "network.architecture", found, expected: "a network that can be trained".to_owned() }
-            .require(network.trains)?;
+        require("network.architecture", network.name, "a network that can be trained", network.trains)?;
+        let TrainingConfig { recompute, clip_frames, .. } = *training;
         let expected = format!("false: {} cannot compute its iterations one by one", network.name);
-        Key { key: "training.recompute", found: training.recompute.to_string(), expected }
-            .require(network.recompute || !training.recompute)?;
+        require("training.recompute", recompute, expected, network.recompute || !recompute)?;
         let expected = format!("2: {} does not remember earlier pairs", network.name);
-        Key { key: "training.clip_frames", found: training.clip_frames.to_string(), expected }
-            .require(network.remembers || training.clip_frames <= 2)?;
-        let expected = "false: the memory of a clip needs the gradients of all its pairs at once".to_owned();
-        Key { key: "training.recompute", found: training.recompute.to_string(), expected }
-            .require(training.clip_frames == 2 || !training.recompute)?;
+        require("training.clip_frames", clip_frames, expected, network.remembers || clip_frames <= 2)?;
+        let expected = "false: the memory of a clip needs the gradients of all its pairs at once";
+        require("training.recompute", recompute, expected, clip_frames == 2 || !recompute)?;
         let mut network = self.network.architecture.init(&Device::flex());
         for (name, value) in &self.network.settings {
             network.set(name, *value)?;
@@ -79,18 +72,48 @@ impl Config {
     }
 }
 
-/// A key with its value.
-struct Key {
-    key: &'static str,
-    found: String,
-    expected: String,
+impl DataConfig {
+    /// Checks the settings of the made data in `train`, except for those that only its maker knows.
+    fn check_made(&self, pairs_of_clip: usize) -> Result<(), ConfigError> {
+        let crop = self.crop;
+        for kind in self.train.iter().filter_map(|source| Some(source.made()?.kind)) {
+            let (key, size) = match kind {
+                MadeKind::Shapes => ("data.shapes.size", self.shapes_size()),
+                MadeKind::Rendered => ("data.rendered.size", self.rendered_size()),
+            };
+            let fits = size.width >= crop.width && size.height >= crop.height;
+            require(key, size, format!("at least the crop, {crop} (data.crop)"), fits)?;
+            match kind {
+                MadeKind::Shapes => {
+                    let expected = "2: the pairs of shapes: do not follow each other; rendered: makes clips";
+                    require("training.clip_frames", pairs_of_clip + 1, expected, pairs_of_clip == 1)?;
+                    let pairs = self.shapes.pairs;
+                    require("data.shapes.pairs", pairs, "1 to 99999", (1..=99_999).contains(&pairs))?;
+                }
+                MadeKind::Rendered => {
+                    let RenderedConfig { scenes, frames, .. } = self.rendered;
+                    require("data.rendered.scenes", scenes, "1 to 10000", (1..=10_000).contains(&scenes))?;
+                    let clips = match pairs_of_clip {
+                        1 => "",
+                        _ => ", as many pairs as a clip has or more (training.clip_frames)",
+                    };
+                    let fine = (pairs_of_clip..=1000).contains(&(frames as usize));
+                    require("data.rendered.frames", frames, format!("{pairs_of_clip} to 1000{clips}"), fine)?;
+                }
+            }
+        }
+        Ok(())
+    }
 }
 
-impl Key {
-    fn require(self, fine: bool) -> Result<(), ConfigError> {
-        if fine {
-            return Ok(());
-        }
-        Err(ConfigError::Value { key: self.key, found: self.found, expected: self.expected })
+fn require(
+    key: &'static str,
+    found: impl ToString,
+    expected: impl Into<String>,
+    fine: bool,
+) -> Result<(), ConfigError> {
+    match fine {
+        true => Ok(()),
+        false => Err(ConfigError::Value { key, found: found.to_string(), expected: expected.into() }),
     }
 }

@@ -2,6 +2,7 @@
 
 mod augmentation;
 mod check;
+mod error;
 mod made;
 mod read;
 mod text;
@@ -18,8 +19,9 @@ use srflow_ops::Precision;
 
 use crate::loss::LossConfig;
 pub use augmentation::{AugmentationConfig, AugmentationKind};
+pub use error::ConfigError;
 pub use made::{RenderedConfig, ShapesConfig};
-pub use read::{ConfigError, PRESETS};
+pub use read::PRESETS;
 pub use text::{DataSpec, MadeKind, MadeSpec, Source};
 
 /// Configuration of a training run. The default is the paper's retrained SKFlow (section V-A1), with SKFlow's own settings where
@@ -211,6 +213,29 @@ impl Default for DataConfig {
             rendered: RenderedConfig::default(),
         }
     }
+}
+
+impl DataConfig {
+    /// Size of the frames of `shapes:`.
+    pub fn shapes_size(&self) -> Size {
+        self.shapes.size.unwrap_or_else(|| with_margin(self.crop))
+    }
+
+    /// Size of the frames of `rendered:`: without one, the proportions of the paper's frames, 2200x3208.
+    pub fn rendered_size(&self) -> Size {
+        self.rendered.size.unwrap_or_else(|| {
+            let Size { width, height } = with_margin(self.crop);
+            let of_height = height.saturating_mul(2200).div_ceil(3208);
+            let of_width = width.saturating_mul(3208).div_ceil(2200);
+            Size { width: width.max(of_height), height: height.max(of_width) }
+        })
+    }
+}
+
+/// The crop and an eighth more along each side, for augmentation; a multiple of 8.
+fn with_margin(Size { width, height }: Size) -> Size {
+    let wider = |side: usize| side.saturating_add(side / 8).saturating_add(7) / 8 * 8;
+    Size { width: wider(width), height: wider(height) }
 }
 
 impl Default for TrainingConfig {

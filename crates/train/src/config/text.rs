@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use srflow_read::flow::{DatasetError, DatasetSpec, Split};
+use srflow_data::flow::{DatasetError, DatasetSpec, Split};
 
 /// A dataset in a mix: `KIND:DIR`, then `@SPLIT` for a split other than the default, then `*TIMES` to repeat each pair that often
 /// in an epoch, e.g. `sintel-clean:/data/Sintel@all*100`. Data that is made while training has no splits.
@@ -211,45 +211,5 @@ pub(super) mod precision {
         known.ok_or_else(|| {
             Error::custom(format!("`{name}` is not a precision; expected `f32`, `f16` or `bf16`"))
         })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_unknown_precision_is_told_which_there_are() {
-        let text = "[training]\nprecision = \"bf17\"";
-        let error = crate::config::Config::parse(text, "run.toml").unwrap_err().to_string();
-        assert!(error.contains("`bf17` is not a precision; expected `f32`, `f16` or `bf16`"), "{error}");
-    }
-
-    #[test]
-    fn sources_are_parsed_from_the_end() {
-        let source: Source = "sintel-clean:/data/a@b/Sintel@all*100".parse().unwrap();
-        assert_eq!((source.split, source.times), (Some(Split::All), 100));
-        assert_eq!(source.files().unwrap().dir.to_str(), Some("/data/a@b/Sintel"));
-        for (text, kind, of) in [
-            ("shapes:", MadeKind::Shapes, ""),
-            ("shapes:/a b:c", MadeKind::Shapes, "/a b:c"),
-            ("rendered:avatar:/a@ict:/c", MadeKind::Rendered, "avatar:/a@ict:/c"),
-        ] {
-            let source: Source = text.parse().unwrap();
-            assert_eq!((source.to_string(), source.times), (text.to_owned(), 1));
-            assert_eq!(source.made(), Some(&MadeSpec { kind, of: of.to_owned() }));
-        }
-        assert_eq!("rendered:*4".parse::<Source>().unwrap().times, 4);
-        let error = "shapes:@val".parse::<Source>().unwrap_err();
-        assert!(error.contains("no splits"), "{error}");
-        let error = "shape:".parse::<Source>().unwrap_err();
-        assert!(error.contains("shapes: or rendered:"), "{error}");
-        for text in ["folder:/data", "folder:a*b", "srflow:x@val", "kitti:k*200", "folder:/a:b@train*3"] {
-            let source: Source = text.parse().unwrap();
-            assert_eq!(source.to_string(), text);
-        }
-        for wrong in ["", "/data", "folder:x*0", "nothing:/data*3"] {
-            assert!(wrong.parse::<Source>().is_err(), "{wrong}");
-        }
     }
 }

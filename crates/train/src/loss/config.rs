@@ -1,8 +1,10 @@
 use serde::{Deserialize, Serialize};
 use srflow_nets::LaplaceMixture;
 
-use super::table::{Regularizer, SEQUENCE_LOSSES, SequenceLoss};
-use super::{LossError, cyclic, fdr, igvar, migar, tvr};
+use super::entry::{Border, MaskReading, Regularizer, SequenceLoss};
+use super::inputs::LossError;
+use super::table::SEQUENCE_LOSSES;
+use super::{cyclic, fdr, igvar, migar, tvr};
 
 /// Defines the table of regularizers, and the loss settings with a weight for each.
 macro_rules! regularizers {
@@ -79,27 +81,6 @@ macro_rules! regularizers {
 }
 
 regularizers!(tvr, fdr, migar, igvar);
-
-/// Reading of the paper's formula of `M_total` (equation 16).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum MaskReading {
-    /// The head pixels where the gradient of the mask is zero: all but the outline.
-    Interior,
-    /// The head pixels where both components of the gradient of the mask are positive, as printed: only the parts of the
-    /// outline that face up and left.
-    Literal,
-}
-
-/// Padding of the Sobel operator.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Border {
-    /// The nearest pixel, so that a constant image has zero gradients everywhere.
-    Replicate,
-    /// Zeros, as in a padded convolution.
-    Zero,
-}
 
 impl LossConfig {
     /// Checks every value.

@@ -4,7 +4,7 @@
 use burn::tensor::Tensor;
 use srflow_ops::warp::tensor::warp_replicated;
 
-use super::{LossInputs, sum};
+use super::inputs::{LossInputs, sum};
 
 /// Key of its weight in the section `loss` of a configuration, and name in logs.
 pub(crate) const NAME: &str = "cyclic";

@@ -2,8 +2,8 @@
 
 use burn::tensor::Tensor;
 
-use super::table::{Regularizer, RegularizerValue};
-use super::{Border, sum};
+use super::entry::{Border, Regularizer, RegularizerValue};
+use super::inputs::sum;
 
 pub(super) const REGULARIZER: Regularizer = Regularizer {
     name: "fdr",

@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use super::table::{Regularizer, RegularizerValue};
+use super::entry::{Regularizer, RegularizerValue};
 
 pub(super) const REGULARIZER: Regularizer = Regularizer {
     name: "migar",

@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 use srflow_nets::LaplaceMixture;
 use srflow_ops::laplace_mixture::{LogScaleRange, tensor};
 
-use super::table::{Distance, SequenceLoss};
+use super::entry::{Distance, SequenceLoss};
 
 pub(super) const MIXTURE_OF_LAPLACE: SequenceLoss = SequenceLoss {
     name: "mixture-of-laplace",

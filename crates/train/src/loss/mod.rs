@@ -4,8 +4,12 @@
 
 mod config;
 pub(crate) mod cyclic;
+mod entry;
 mod fdr;
 mod igvar;
+mod inputs;
+mod l1;
+mod l2;
 mod migar;
 mod mixture;
 mod of_flow;
@@ -16,63 +20,15 @@ mod tvr;
 mod weighted_variation;
 
 use burn::tensor::Tensor;
-use srflow_nets::{Estimate, LaplaceMixture};
 
-pub use config::{Border, LossConfig, MaskReading, REGULARIZERS};
+pub use config::{LossConfig, REGULARIZERS};
+pub use entry::{Border, MaskReading, Regularizer, SequenceLoss};
+pub use inputs::{LossError, LossInputs, Prediction};
 pub use of_flow::{FlowRegularizer, ImageWeights, RegularizerError, regularizers_of_flow};
-pub use table::{Regularizer, SEQUENCE_LOSSES, SequenceLoss};
+pub use table::SEQUENCE_LOSSES;
 
-use table::RegularizerValue;
-use weighted_variation::{gradient_magnitude, total_mask, weighted_variation, weights};
-
-/// The prediction of a network after one iteration.
-#[derive(Debug, Clone)]
-pub struct Prediction {
-    /// Flow in pixels, `[batch, 2, height, width]` (u, v).
-    pub flow: Tensor<4>,
-    /// The distribution of the error of the flow, if the network predicts it.
-    pub mixture: Option<LaplaceMixture>,
-}
-
-impl Prediction {
-    /// The predictions of all iterations, in order.
-    pub fn of(estimate: Estimate) -> Vec<Self> {
-        let mixtures = estimate.mixtures.into_iter().map(Some).chain(std::iter::repeat(None));
-        estimate.flows.into_iter().zip(mixtures).map(|(flow, mixture)| Self { flow, mixture }).collect()
-    }
-}
-
-impl From<Tensor<4>> for Prediction {
-    fn from(flow: Tensor<4>) -> Self {
-        Self { flow, mixture: None }
-    }
-}
-
-/// Targets of the loss. No gradients flow into them.
-#[derive(Debug, Clone)]
-pub struct LossInputs {
-    /// True flow in pixels, `[batch, 2, height, width]` (u, v). Values of invalid pixels are ignored and may be NaN.
-    pub truth: Tensor<4>,
-    /// 1 where the true flow is known, else 0: `[batch, 1, height, width]`.
-    pub valid: Tensor<4>,
-    /// The first frame as the network sees it, RGB in 0..1: `[batch, 3, height, width]`.
-    pub first_frame: Tensor<4>,
-    /// The second frame, like the first.
-    pub second_frame: Tensor<4>,
-    /// `M_bg`: 1 on the head in the first frame, 0 on the background, `[batch, 1, height, width]`. `None` counts every pixel as
-    /// head.
-    pub foreground: Option<Tensor<4>>,
-}
-
-impl LossInputs {
-    /// `M_bg`, rounded to zeros and ones.
-    fn foreground_or_all(&self) -> Tensor<4> {
-        match &self.foreground {
-            Some(mask) => mask.clone().greater_elem(0.5).float(),
-            None => Tensor::ones(self.valid.dims(), &self.valid.device()),
-        }
-    }
-}
+use entry::RegularizerValue;
+use weighted_variation::{pixel_weights, total_mask, weighted_variation};
 
 /// The loss of a batch.
 #[derive(Debug, Clone)]
@@ -81,18 +37,6 @@ pub struct Losses {
     pub total: Tensor<1>,
     /// `sequence`, then each active regularizer by [name](Regularizer::name), and `cyclic` if active, weighted as in the total.
     pub parts: Vec<(&'static str, Tensor<1>)>,
-}
-
-/// Errors of computing a loss.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum LossError {
-    #[error("loss.{key} = {found}: expected {expected}")]
-    Setting { key: &'static str, found: String, expected: &'static str },
-    #[error(
-        "loss.sequence = \"mixture-of-laplace\" needs a network that also predicts a mixture, such as SEA-RAFT: set it to \
-         \"l1\" or \"l2\", or train such a network"
-    )]
-    NoMixture,
 }
 
 /// The loss of the predictions of all iterations, in order: `sum_i gamma^(n - 1 - i) L(prediction i)` for the sequence loss, and
@@ -156,26 +100,9 @@ fn regularizers(
     REGULARIZERS.iter().filter(|regularizer| config.weight(regularizer) != 0.0).map(part).collect()
 }
 
-/// Weights of the pixels, `[batch, 1, height, width]`, and the logarithm of their base, `[batch, 1, 1, 1]`.
-fn pixel_weights(
-    log_base: fn(Tensor<4>, &Tensor<4>) -> Tensor<4>,
-    config: &LossConfig,
-    first_frame: &Tensor<4>,
-    foreground: &Tensor<4>,
-) -> (Tensor<4>, Tensor<4>) {
-    let gradient = gradient_magnitude(first_frame.clone(), config.border) * config.image_max;
-    let log_base = log_base(gradient.clone(), foreground);
-    (weights(gradient, log_base.clone()), log_base)
-}
-
 /// `sum_i gamma^(n - 1 - i) loss_i`.
 fn over_iterations(gamma: f64, losses: impl IntoIterator<Item = Tensor<1>>) -> Tensor<1> {
     losses.into_iter().reduce(|sum, loss| sum * gamma + loss).expect("a loss needs a prediction")
-}
-
-/// The sum of all elements. Row sums first make the order, and so the rounding, independent of the number of threads.
-fn sum(x: Tensor<4>) -> Tensor<1> {
-    x.sum_dim(3).sum()
 }
 
 fn check_sizes(predictions: &[Prediction], inputs: &LossInputs) {

@@ -4,8 +4,11 @@ use burn::tensor::{Device, Tensor, TensorData};
 use serde::Serialize;
 use srflow_core::{FlowField, Image, Mask, SizeMismatch};
 
-use super::table::RegularizerValue;
-use super::{LossConfig, LossInputs, Prediction, REGULARIZERS, pixel_weights, regularizers, total_mask};
+use super::config::{LossConfig, REGULARIZERS};
+use super::entry::RegularizerValue;
+use super::inputs::{LossInputs, Prediction};
+use super::regularizers;
+use super::weighted_variation::{pixel_weights, total_mask};
 
 /// The value of one regularizer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -33,7 +36,6 @@ pub struct ImageWeights {
     pub pixels: usize,
 }
 
-/// Errors of [`regularizers_of_flow`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RegularizerError {
     #[error(transparent)]

@@ -2,23 +2,9 @@
 
 use burn::tensor::Tensor;
 
-use super::table::{Distance, SequenceLoss};
-use super::{LossConfig, LossError, LossInputs, Prediction, sum};
-
-pub(super) const L1: SequenceLoss = SequenceLoss {
-    name: "l1",
-    description: "absolute difference of the components; RAFT's and SKFlow's",
-    distance: Distance::OfFlow(|difference| difference.abs()),
-    channels: 2,
-};
-
-pub(super) const L2: SequenceLoss = SequenceLoss {
-    name: "l2",
-    description: "end-point distance",
-    // The gradient of the square root is infinite at zero, so distances are clamped to at least 1e-6 pixels.
-    distance: Distance::OfFlow(|difference| difference.square().sum_dim(1).clamp_min(1e-12).sqrt()),
-    channels: 1,
-};
+use super::config::LossConfig;
+use super::entry::Distance;
+use super::inputs::{LossError, LossInputs, Prediction, sum};
 
 /// The ground truth of a batch, prepared once for all predictions.
 pub(super) struct Truth<'a> {

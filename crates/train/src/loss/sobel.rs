@@ -3,7 +3,7 @@
 use burn::tensor::Tensor;
 use burn::tensor::ops::PadMode;
 
-use super::Border;
+use super::entry::Border;
 
 /// The standard 3x3 Sobel derivatives of each channel of an image `[batch, channels, height, width]` along x and along y, each
 /// of the same shape. They are not normalised: 8 times the derivative per pixel.

@@ -2,9 +2,9 @@
 
 use burn::tensor::Tensor;
 
+use super::entry::{Border, Regularizer, RegularizerValue};
+use super::inputs::sum;
 use super::sobel::sobel;
-use super::table::{Regularizer, RegularizerValue};
-use super::{Border, sum};
 
 pub(super) const REGULARIZER: Regularizer = Regularizer {
     name: "tvr",

@@ -2,19 +2,21 @@
 
 use burn::tensor::Tensor;
 
+use super::config::LossConfig;
+use super::entry::{Border, MaskReading};
+use super::inputs::sum;
 use super::sobel::sobel;
-use super::{Border, MaskReading, sum};
 
 /// `G` of the paper's equation 13: the magnitude of the standard Sobel gradient of a frame `[batch, 3, height, width]`, averaged
 /// over the colour channels, `[batch, 1, height, width]`.
-pub(super) fn gradient_magnitude(frame: Tensor<4>, border: Border) -> Tensor<4> {
+fn gradient_magnitude(frame: Tensor<4>, border: Border) -> Tensor<4> {
     let [along_x, along_y] = sobel(frame, border);
     (along_x.square() + along_y.square()).sqrt().mean_dim(1)
 }
 
 /// `w = base^-G` of the paper's equation 15 as `exp(-G ln base)`, from the logarithm of the base (`[batch, 1, 1, 1]`): with
 /// frames in 0..255, MIGAR's base overflows `f32` if the mean of `G` exceeds 88. Weights below 1e-45 become zero.
-pub(super) fn weights(gradient: Tensor<4>, log_base: Tensor<4>) -> Tensor<4> {
+fn weights(gradient: Tensor<4>, log_base: Tensor<4>) -> Tensor<4> {
     (-gradient * log_base).exp()
 }
 
@@ -40,4 +42,16 @@ pub(super) fn weighted_variation(
     let [batch, _, height, width] = flow.dims();
     let [along_x, along_y] = sobel(flow * mask, border);
     sum((along_x.abs() + along_y.abs()) * weights) / (batch * height * width) as f64
+}
+
+/// Weights of the pixels, `[batch, 1, height, width]`, and the logarithm of their base, `[batch, 1, 1, 1]`.
+pub(super) fn pixel_weights(
+    log_base: fn(Tensor<4>, &Tensor<4>) -> Tensor<4>,
+    config: &LossConfig,
+    first_frame: &Tensor<4>,
+    foreground: &Tensor<4>,
+) -> (Tensor<4>, Tensor<4>) {
+    let gradient = gradient_magnitude(first_frame.clone(), config.border) * config.image_max;
+    let log_base = log_base(gradient.clone(), foreground);
+    (weights(gradient, log_base.clone()), log_base)
 }

@@ -2,7 +2,7 @@ use srflow_core::{FlowField, Image};
 use srflow_files::{write_flow, write_image_png};
 
 use super::*;
-use crate::training_set::only_files;
+use crate::made::only_files;
 
 fn trainer(dir: &Path) -> (Trainer, Batch, Batch) {
     for i in 0..2 {

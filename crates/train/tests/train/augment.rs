@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use rayon::prelude::*;
 use srflow_core::random::Key;
 use srflow_core::{FlowField, Image, Mask, warp};
-use srflow_read::flow::{Sample, TruthDensity};
+use srflow_data::flow::{Sample, TruthDensity};
 use srflow_train::augment::{AugmentConfig, Augmentation};
 
 /// Smooth everywhere, so that interpolation changes it little.

@@ -3,26 +3,20 @@
 use std::path::Path;
 
 use burn::tensor::Device;
-use srflow_core::{FlowField, Image, Mask};
-use srflow_files::{write_flow, write_image_png};
+use srflow_core::{FlowField, Mask};
+use srflow_data::flow::Sample;
+use srflow_files::{RunMode, write_flow, write_image_png};
 use srflow_nets::Architecture;
 use srflow_ops::Precision;
-use srflow_read::flow::Sample;
 use srflow_train::batch::Batch;
 use srflow_train::config::Config;
 use srflow_train::loss::{LossConfig, SEQUENCE_LOSSES};
-use srflow_train::replica::{BatchLosses, Pass, PassSettings, Replicas};
+use srflow_train::replica::Replicas;
 use srflow_train::training_log::Record;
-use srflow_train::training_set::{TrainingSample, TrainingSet, only_files};
-use srflow_train::{Event, RunMode, TrainError, train};
+use srflow_train::training_set::{TrainingSample, TrainingSet};
+use srflow_train::{BatchLosses, Event, Pass, PassSettings, TrainError, only_files, train};
 
-fn frame(size: usize, number: usize, shift: f32) -> Image {
-    Image::from_fn(size, size, |x, y| {
-        let (x, y) = (x as f32 - shift + 13.0 * number as f32, y as f32);
-        let wave = (x * 0.31).sin() + (y * 0.27).sin() + ((x + y) * 0.13).cos();
-        [(128.0 + 30.0 * wave) as u8, (128.0 - 20.0 * wave) as u8, (99.0 + 25.0 * wave) as u8]
-    })
-}
+use crate::pairs::{frame, make_pairs};
 
 /// Pairs with different motions and with head masks; the flow of the last pair is unknown at some pixels.
 fn batch(count: usize) -> Batch {
@@ -126,7 +120,7 @@ fn products_of_bfloat16_turn_the_gradient_a_little() {
 /// The attention of GMA and SKFlow is initialized without effect (`gamma` is 0): all its other gradients are zero.
 #[test]
 fn recomputed_iterations_give_the_same_gradients() {
-    let batch = batch(2);
+    let batch = batch(1);
     use Architecture::{Raft, RaftSmall, SeaRaftS, SkFlow};
     for architecture in [RaftSmall, Raft, SkFlow, SeaRaftS] {
         let (kept, _) = pass(architecture, 1, 1, false, &batch);
@@ -140,9 +134,9 @@ fn recomputed_iterations_give_the_same_gradients() {
 /// gradients through memory with the reference.
 #[test]
 fn the_loss_of_clips_is_the_mean_of_their_pairs() {
-    let mut second = batch(3);
+    let mut second = batch(2);
     second.flow.iter_mut().for_each(|flow| *flow += 1.5);
-    let pairs = [batch(3), second];
+    let pairs = [batch(2), second];
     for architecture in [Architecture::RaftSmall, Architecture::MemFlow] {
         let [first, second] = pairs.each_ref().map(|pairs| pass(architecture, 1, 1, false, pairs).0);
         let mut mean = Pass { losses: BatchLosses::default(), ..first.clone() };
@@ -227,15 +221,6 @@ fn a_batch_is_split_into_parts_of_nearly_equal_size() {
     assert_eq!(batch.split(9).len(), 5);
 }
 
-fn make_pairs(dir: &Path, count: usize) {
-    for i in 0..count {
-        let file = |ending: &str| dir.join(format!("p{i}_{ending}"));
-        write_image_png(&file("img1.png"), &frame(80, i, 0.0)).unwrap();
-        write_image_png(&file("img2.png"), &frame(80, i, 2.0)).unwrap();
-        write_flow(&file("flow.flo"), &FlowField::filled(80, 80, [2.0, 0.0])).unwrap();
-    }
-}
-
 fn small_run(dir: &Path) -> Config {
     let text = format!(
         "[network]\narchitecture = \"raft-small\"\n[data]\ntrain = \"folder:{}\"\ncrop = \"64x64\"\n\
@@ -246,7 +231,16 @@ fn small_run(dir: &Path) -> Config {
     Config::parse(&text, "test").expect("a configuration")
 }
 
-/// With an infinite weight every step is skipped; the error names the pairs.
+/// Replaces the last weight in a file of weights by infinity. Returns the file's bytes.
+fn break_weights(path: &Path) -> Vec<u8> {
+    let mut bytes = std::fs::read(path).unwrap();
+    let at = bytes.len() - 4;
+    bytes[at..].copy_from_slice(&f32::INFINITY.to_le_bytes());
+    std::fs::write(path, &bytes).unwrap();
+    bytes
+}
+
+/// With an infinite weight every step is skipped. The error names the pairs and the last checkpoint, which stays.
 #[test]
 fn non_finite_losses_end_the_run() {
     let dir = tempfile::tempdir().unwrap();
@@ -256,13 +250,22 @@ fn non_finite_losses_end_the_run() {
     let devices = [Device::flex()];
     train(&config, &only_files, &devices, &run, RunMode::New, &mut |_| {}).expect("a short run");
 
-    let mut bytes = std::fs::read(run.join("last.safetensors")).unwrap();
-    let at = bytes.len() - 4;
-    bytes[at..].copy_from_slice(&f32::INFINITY.to_le_bytes());
-    config.network.weights = dir.path().join("bad.safetensors");
-    std::fs::write(&config.network.weights, bytes).unwrap();
-    let other = dir.path().join("other");
+    let [good, last] = ["step-00000002", "step-00000004"].map(|step| run.join("checkpoints").join(step));
+    std::fs::remove_dir_all(&last).unwrap();
+    let model = good.join("model.safetensors");
+    let bytes = break_weights(&model);
+    let result = train(&config, &only_files, &devices, &run, RunMode::Resume, &mut |_| {});
+    let Err(TrainError::NotFinite { step: 4, in_a_row: 2, last_checkpoint, .. }) = &result else {
+        panic!("{result:?}")
+    };
+    assert_eq!(last_checkpoint, &format!("The last good checkpoint is {}", good.display()));
+    assert_eq!(std::fs::read(&model).unwrap(), bytes);
+    assert!(!last.exists(), "no checkpoint of a skipped step");
+
+    config.network.weights = run.join("last.safetensors");
+    break_weights(&config.network.weights);
     let mut skipped = Vec::new();
+    let other = dir.path().join("other");
     let result = train(&config, &only_files, &devices, &other, RunMode::New, &mut |event| {
         if let Event::Recorded(Record::Skipped(record)) = event {
             skipped.push(record.clone());
@@ -277,34 +280,6 @@ fn non_finite_losses_end_the_run() {
         assert!(error.to_string().contains(sample), "{sample} in {error}");
     }
     assert!(error.to_string().contains("no checkpoint yet"), "{error}");
-}
-
-/// A run that resumes from a checkpoint with an infinite weight.
-#[test]
-fn non_finite_losses_leave_the_last_checkpoint_unchanged_and_name_it() {
-    let dir = tempfile::tempdir().unwrap();
-    make_pairs(dir.path(), 3);
-    let run = dir.path().join("run");
-    let config = small_run(dir.path());
-    let devices = [Device::flex()];
-    train(&config, &only_files, &devices, &run, RunMode::New, &mut |_| {}).expect("a short run");
-    std::fs::remove_dir_all(run.join("checkpoints/step-00000004")).unwrap();
-    let model = run.join("checkpoints/step-00000002/model.safetensors");
-    let mut bytes = std::fs::read(&model).unwrap();
-    let at = bytes.len() - 4;
-    bytes[at..].copy_from_slice(&f32::INFINITY.to_le_bytes());
-    std::fs::write(&model, &bytes).unwrap();
-
-    let result = train(&config, &only_files, &devices, &run, RunMode::Resume, &mut |_| {});
-    let Err(TrainError::NotFinite { step: 4, in_a_row: 2, last_checkpoint, .. }) = &result else {
-        panic!("{result:?}")
-    };
-    assert_eq!(
-        last_checkpoint,
-        &format!("The last good checkpoint is {}", run.join("checkpoints/step-00000002").display())
-    );
-    assert_eq!(std::fs::read(&model).unwrap(), bytes);
-    assert!(!run.join("checkpoints/step-00000004").exists(), "no checkpoint of a skipped step");
 }
 
 #[test]

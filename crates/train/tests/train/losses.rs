@@ -2,8 +2,8 @@
 //! as batches without valid pixels.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_golden::{Golden, numbers};
 use srflow_nets::LaplaceMixture;
+use srflow_ops::golden::{Golden, numbers};
 use srflow_train::loss::{
     Border, LossConfig, LossError, LossInputs, MaskReading, Prediction, REGULARIZERS, SEQUENCE_LOSSES,
     SequenceLoss, losses,
@@ -98,11 +98,9 @@ fn the_cyclic_loss_is_least_for_the_flow_between_the_frames() {
         Tensor::from_data(TensorData::new(values, [1, 3, height, width]), &device)
     };
     let inputs = LossInputs {
-        truth: constant(f32::NAN, size, 2, &device),
-        valid: constant(0.0, size, 1, &device),
         first_frame: frame(0.0),
         second_frame: frame(2.0),
-        foreground: None,
+        ..constants(size, [f32::NAN, 0.0, 0.0], &device)
     };
     let config = LossConfig { cyclic: 1.0, ..LossConfig::default() };
     let loss = |u: f32| {
@@ -203,6 +201,17 @@ fn constant(value: f32, [height, width]: [usize; 2], channels: usize, device: &D
     Tensor::full([1, channels, height, width], value, device)
 }
 
+/// A constant truth, whether it is valid, and constant frames; no mask.
+fn constants(size: [usize; 2], [truth, valid, frame]: [f32; 3], device: &Device) -> LossInputs {
+    LossInputs {
+        truth: constant(truth, size, 2, device),
+        valid: constant(valid, size, 1, device),
+        first_frame: constant(frame, size, 3, device),
+        second_frame: constant(frame, size, 3, device),
+        foreground: None,
+    }
+}
+
 /// All losses, and the gradient of their total, for a constant prediction on a constant frame.
 fn of_constants(
     size: [usize; 2],
@@ -216,13 +225,8 @@ fn of_constants(
         log_scales: constant(0.0, size, 2, &device),
     };
     let prediction = Prediction { flow: leaf.clone(), mixture: Some(mixture) };
-    let inputs = LossInputs {
-        truth: constant(truth, size, 2, &device),
-        valid: constant(valid, size, 1, &device),
-        first_frame: constant(0.7, size, 3, &device),
-        second_frame: constant(0.7, size, 3, &device),
-        foreground: Some(constant(head, size, 1, &device)),
-    };
+    let foreground = Some(constant(head, size, 1, &device));
+    let inputs = LossInputs { foreground, ..constants(size, [truth, valid, 0.7], &device) };
     let losses = losses(config, &[prediction], &inputs).expect("a loss");
     let grads = losses.total.clone().backward();
     let parts = losses.parts.into_iter().map(|(_, part)| number(part)).collect();
@@ -280,11 +284,9 @@ fn frames_of_the_highest_contrast_give_finite_losses() {
     let ramp: Vec<f32> = (0..2 * height * width).map(|i| (i * i) as f32).collect();
     let flow = Tensor::<4>::from_data(TensorData::new(ramp, [1, 2, height, width]), &device).require_grad();
     let inputs = LossInputs {
-        truth: constant(0.0, [height, width], 2, &device),
-        valid: constant(1.0, [height, width], 1, &device),
         second_frame: first_frame.clone(),
         first_frame,
-        foreground: None,
+        ..constants([height, width], [0.0, 1.0, 0.0], &device)
     };
     let losses = losses(&all(), &[flow.clone().into()], &inputs).expect("a loss");
     let grad = numbers(flow.grad(&losses.total.clone().backward()).expect("a gradient"));
@@ -301,11 +303,8 @@ fn the_mask_keeps_only_the_interior_of_the_head() {
     let inside = |i: usize| (1..4).contains(&(i / width)) && (1..4).contains(&(i % width));
     let head: Vec<f32> = (0..height * width).map(|i| if inside(i) { 1.0 } else { 0.0 }).collect();
     let inputs = LossInputs {
-        truth: constant(0.0, [height, width], 2, &device),
-        valid: constant(1.0, [height, width], 1, &device),
-        first_frame: constant(0.5, [height, width], 3, &device),
-        second_frame: constant(0.5, [height, width], 3, &device),
         foreground: Some(Tensor::from_data(TensorData::new(head, [1, 1, height, width]), &device)),
+        ..constants([height, width], [0.0, 1.0, 0.5], &device)
     };
     let value = |config: &LossConfig, part: &str| {
         let flow = constant(2.0, [height, width], 2, &device);
@@ -342,13 +341,7 @@ fn without_a_mask_every_pixel_counts_as_head() {
 fn later_predictions_have_larger_weights() {
     let device = Device::flex().autodiff();
     let size = [4, 4];
-    let inputs = LossInputs {
-        truth: constant(0.0, size, 2, &device),
-        valid: constant(1.0, size, 1, &device),
-        first_frame: constant(0.0, size, 3, &device),
-        second_frame: constant(0.0, size, 3, &device),
-        foreground: None,
-    };
+    let inputs = constants(size, [0.0, 1.0, 0.0], &device);
     let flows = [1.0, 10.0, 100.0].map(|flow| constant(flow, size, 2, &device).into());
     let config = LossConfig { gamma: 0.5, ..LossConfig::default() };
     assert_eq!(number(losses(&config, &flows, &inputs).expect("a loss").total), 0.25 + 5.0 + 100.0);
@@ -356,36 +349,22 @@ fn later_predictions_have_larger_weights() {
 
 #[test]
 fn invalid_settings_are_reported() {
-    let message = |config: LossConfig| config.check().expect_err("wrong").to_string();
     assert_eq!(all().check(), Ok(()));
-    assert_eq!(
-        message(LossConfig { gamma: 1.5, ..all() }),
-        "loss.gamma = 1.5: expected a number above 0 and at most 1"
-    );
-    assert_eq!(
-        message(LossConfig { tvr: f64::NAN, ..all() }),
-        "loss.tvr = NaN: expected a weight of 0 or more"
-    );
-    assert_eq!(
-        message(LossConfig { igvar: -1.0, ..all() }),
-        "loss.igvar = -1: expected a weight of 0 or more"
-    );
-    assert!(message(LossConfig { image_max: 0.0, ..all() }).starts_with("loss.image_max = 0: expected 255"));
-    assert!(message(LossConfig { max_magnitude: 0.0, ..all() }).starts_with("loss.max_magnitude = 0:"));
-    assert!(
-        message(LossConfig { log_scale_range: [1.0, 2.0], ..all() })
-            .starts_with("loss.log_scale_range = [1, 2]:")
-    );
+    for (config, message) in [
+        (LossConfig { gamma: 1.5, ..all() }, "loss.gamma = 1.5: expected a number above 0 and at most 1"),
+        (LossConfig { tvr: f64::NAN, ..all() }, "loss.tvr = NaN: expected a weight of 0 or more"),
+        (LossConfig { igvar: -1.0, ..all() }, "loss.igvar = -1: expected a weight of 0 or more"),
+        (LossConfig { image_max: 0.0, ..all() }, "loss.image_max = 0: expected 255"),
+        (LossConfig { max_magnitude: 0.0, ..all() }, "loss.max_magnitude = 0:"),
+        (LossConfig { log_scale_range: [1.0, 2.0], ..all() }, "loss.log_scale_range = [1, 2]:"),
+    ] {
+        let error = config.check().expect_err(message).to_string();
+        assert!(error.starts_with(message), "{error}");
+    }
 
     let device = Device::flex().autodiff();
     let flow = constant(0.0, [2, 2], 2, &device);
-    let inputs = LossInputs {
-        truth: flow.clone(),
-        valid: constant(1.0, [2, 2], 1, &device),
-        first_frame: constant(0.0, [2, 2], 3, &device),
-        second_frame: constant(0.0, [2, 2], 3, &device),
-        foreground: None,
-    };
+    let inputs = constants([2, 2], [0.0, 1.0, 0.0], &device);
     let mixture = LossConfig { sequence: sequence("mixture-of-laplace"), ..LossConfig::default() };
     let error = losses(&mixture, &[flow.into()], &inputs).expect_err("no mixture");
     assert_eq!(error, LossError::NoMixture);

@@ -7,13 +7,13 @@ use std::path::Path;
 use std::sync::{Arc, Barrier, Mutex};
 
 use burn::tensor::Device;
-use srflow_core::{FlowField, Image};
-use srflow_files::{write_flow, write_image_png};
+use srflow_files::{RunMode, read_run_log};
 use srflow_train::config::Config;
 use srflow_train::ranks::{Alone, Communicator};
-use srflow_train::training_log::{Record, read_log};
-use srflow_train::training_set::only_files;
-use srflow_train::{Event, Outcome, RunMode, TrainError, Training};
+use srflow_train::training_log::Record;
+use srflow_train::{Event, Outcome, TrainError, Training, only_files};
+
+use crate::pairs::make_pairs;
 
 /// A rank that is a thread.
 struct Thread {
@@ -81,26 +81,11 @@ fn together(
     })
 }
 
-fn make_pairs(dir: &Path, count: usize) {
-    for i in 0..count {
-        let frame = |shift: f32| {
-            Image::from_fn(72, 72, |x, y| {
-                let wave = ((x as f32 - shift) * 0.31).sin() + (y as f32 * 0.27 + i as f32).sin();
-                [(128.0 + 50.0 * wave) as u8; 3]
-            })
-        };
-        let file = |ending: &str| dir.join(format!("p{i}_{ending}"));
-        write_image_png(&file("img1.png"), &frame(0.0)).unwrap();
-        write_image_png(&file("img2.png"), &frame(1.0 + i as f32)).unwrap();
-        write_flow(&file("flow.flo"), &FlowField::filled(72, 72, [1.0 + i as f32, 0.0])).unwrap();
-    }
-}
-
 /// Batches of three, in epochs of two batches and a rest.
 fn config(dir: &Path, architecture: &str, accumulate: usize) -> Config {
     let text = format!(
         "[network]\narchitecture = \"{architecture}\"\n[data]\ntrain = \"folder:{}\"\ncrop = \"64x64\"\n\
-         [training]\nsteps = 5\nbatch = 3\niterations = 2\nlearning_rate = 4e-4\naccumulate = {accumulate}\n\
+         [training]\nsteps = 3\nbatch = 3\niterations = 2\nlearning_rate = 4e-4\naccumulate = {accumulate}\n\
          [checkpoints]\nevery = 2\n",
         dir.display()
     );
@@ -140,7 +125,7 @@ fn checkpoints(run: &Path) -> BTreeMap<String, Vec<u8>> {
 
 /// The loss, end-point error and norm of the gradients of each step.
 fn steps(run: &Path) -> Vec<(f64, f64, f64)> {
-    let log = read_log(run).unwrap().into_iter();
+    let log = read_run_log::<Record>(run).unwrap().into_iter();
     log.map(|record| match record {
         Record::Step(step) => (step.loss, step.epe, step.gradient_norm),
         other => panic!("{other:?}"),
@@ -156,7 +141,7 @@ fn compare(ranks: usize, config: &Config, one: &Path, many: &Path) {
         })
     });
     for outcome in outcomes {
-        assert_eq!(outcome.unwrap().progress.step, 5);
+        assert_eq!(outcome.unwrap().progress.step, 3);
     }
     assert!(checkpoints(one) == checkpoints(many), "{} and {}", one.display(), many.display());
     assert_eq!(steps(one), steps(many));
@@ -203,12 +188,12 @@ fn ranks_that_are_stopped_go_on_with_any_number_and_say_so() {
     }
     // One rank alone gets the signal.
     for outcome in together(2, |communicator| {
-        let stop = |done| communicator.rank() == 1 && done >= 3;
+        let stop = |done| communicator.rank() == 1 && done >= 1;
         training(&config, &stopped, RunMode::New, communicator).until(&stop, &mut |_| {})
     }) {
         let outcome = outcome.unwrap();
         assert!(outcome.stopped);
-        assert_eq!(outcome.progress.step, 3);
+        assert_eq!(outcome.progress.step, 1);
     }
     let go_on = |ranks: usize, run: &Path| {
         let before = Mutex::new(Vec::new());
@@ -219,16 +204,16 @@ fn ranks_that_are_stopped_go_on_with_any_number_and_say_so() {
                 }
             })
         }) {
-            assert_eq!(outcome.unwrap().progress.step, 5);
+            assert_eq!(outcome.unwrap().progress.step, 3);
         }
         before.into_inner().unwrap()
     };
     let other = dir.path().join("other");
     copy(&stopped, &other);
-    assert_eq!(go_on(2, &stopped), [(2, None, 3)]);
+    assert_eq!(go_on(2, &stopped), [(2, None, 1)]);
     let last = |run: &Path| fs::read(run.join("last.safetensors")).unwrap();
     assert!(last(&through) == last(&stopped), "as without a stop");
-    assert_eq!(go_on(3, &other), [(3, Some(2), 3)]);
+    assert_eq!(go_on(3, &other), [(3, Some(2), 1)]);
     assert!(last(&through) != last(&other), "other sums");
 }
 

@@ -20,18 +20,17 @@ use std::time::{Duration, Instant};
 
 use srflow_core::Image;
 use srflow_files::{
-    FileError, FileKind, FileProblem, JsonLines, LockError, RunLock, SettingsError, create_folder,
-    parse_settings, read_json_lines, read_text, remove_partial, settings_text, write_file, write_image_png,
+    FileError, FileKind, FileProblem, RUN_CONFIG, RunFolder, RunFolderError, RunMode, SettingsError,
+    parse_settings, read_text, remove_partial, settings_text, write_image_png,
 };
 
 pub use records::{IterationsRecord, LogRecord, RunRecord, RunScores, ScoredSplit, ScoresRecord};
-use records::{LOG_NAME, RUN_NAME, Window, loss};
+use records::{RUN_NAME, Window, loss};
 
 use super::{SplitScore, StepReport, TrainConfig, TrainError, Trainer, ViewScore};
 use crate::HeadModel;
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
 
-const CONFIG_NAME: &str = "config.toml";
 const CHECKPOINT_NAME: &str = "checkpoint.npz";
 const PREVIEW_NAME: &str = "preview.png";
 
@@ -45,10 +44,7 @@ pub enum RunError {
     #[error(transparent)]
     File(#[from] FileError),
     #[error(transparent)]
-    Lock(#[from] LockError),
-    /// A new run in the folder of another one.
-    #[error("{0}: this folder already contains a run; continue it with `resume` {0}, or choose another `out`", .folder.display())]
-    AnotherRun { folder: PathBuf },
+    Folder(#[from] RunFolderError),
     /// A new run in a folder with other files.
     #[error("{}: expected a new or empty folder for the run, found {found:?} in it; choose another `out`", .folder.display())]
     Occupied { folder: PathBuf, found: String },
@@ -64,19 +60,11 @@ pub enum RunError {
     },
 }
 
-/// Whether to start a new run or resume one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum RunMode {
-    /// Start at the first iteration, in a new or empty folder.
-    New,
-    /// Continue from the checkpoint in the folder, or from the start if the run was stopped before the first one.
-    Resume,
-}
-
 /// A run to do.
 pub struct RunRequest<'a> {
     /// Folder of the run.
     pub dir: &'a Path,
+    /// A run that was stopped before its first checkpoint resumes from the start.
     pub mode: RunMode,
     /// What `capture` and `model` were read from.
     pub record: RunRecord,
@@ -132,7 +120,7 @@ pub struct RunOutcome {
 /// When `dir` is no folder of a run, or its files are malformed.
 pub fn read_run(dir: &Path) -> Result<(RunRecord, TrainConfig), RunError> {
     let record = RunRecord::read(dir)?;
-    let path = dir.join(CONFIG_NAME);
+    let path = dir.join(RUN_CONFIG);
     let text = read_text(&path, FileKind::Settings)?;
     Ok((record, parse_settings(&text, &path.display().to_string())?))
 }
@@ -140,14 +128,6 @@ pub fn read_run(dir: &Path) -> Result<(RunRecord, TrainConfig), RunError> {
 /// The folder of the run that wrote the avatar in `dir`, which is `point_cloud/iteration_N` in it; `None` for other avatars.
 pub fn run_of_avatar(dir: &Path) -> Option<&Path> {
     dir.ancestors().nth(2).filter(|run| run.join(RUN_NAME).is_file())
-}
-
-/// The log of the run in `dir`.
-///
-/// # Errors
-/// When it cannot be read, or a line is malformed.
-pub fn read_run_log(dir: &Path) -> Result<Vec<LogRecord>, FileError> {
-    read_json_lines(&dir.join(LOG_NAME))
 }
 
 /// Trains an avatar and scores it; see the list of files above. For a given configuration and capture, the avatar and the scores
@@ -166,13 +146,11 @@ pub fn run(request: RunRequest, on_event: &mut dyn FnMut(RunEvent)) -> Result<Ru
         RunMode::Resume if checkpoint.exists() => Trainer::resume(capture, model, config, &checkpoint)?,
         RunMode::Resume | RunMode::New => Trainer::new(capture, model, config)?,
     };
-    create_folder(dir)?;
-    let _lock = RunLock::take(dir)?;
-    remove_partial(dir, |_, _| true)?;
-    write_file(&dir.join(CONFIG_NAME), settings_text(&config))?;
+    let folder = RunFolder::open(dir)?;
+    folder.write_config(&settings_text(&config))?;
     record.write(dir)?; // last: a folder with it can be resumed
     let done = trainer.iteration();
-    let mut log = JsonLines::open(&dir.join(LOG_NAME), |record: &LogRecord| record.iteration() <= done)?;
+    let mut log = folder.log(|record: &LogRecord| record.iteration() <= done)?;
     on_event(RunEvent::Started { trainer: &trainer, iterations: config.iterations });
 
     let intervals = Intervals::of(config.iterations);
@@ -259,7 +237,7 @@ impl Intervals {
 /// Fails for a new run where another one is, or other files are.
 fn check_place(dir: &Path) -> Result<(), RunError> {
     if dir.join(RUN_NAME).exists() {
-        return Err(RunError::AnotherRun { folder: dir.to_owned() });
+        return Err(RunFolderError::AnotherRun { folder: dir.to_owned(), steps: None }.into());
     }
     let failed = |error| FileProblem::Io { doing: "listing the folder", error }.in_file(dir);
     let entries = match fs::read_dir(dir) {
@@ -269,7 +247,7 @@ fn check_place(dir: &Path) -> Result<(), RunError> {
     for entry in entries {
         let found = entry.map_err(failed)?.file_name().to_string_lossy().into_owned();
         // A run that was stopped before it began leaves these.
-        if found != CONFIG_NAME && !found.starts_with('.') {
+        if found != RUN_CONFIG && !found.starts_with('.') {
             return Err(RunError::Occupied { folder: dir.to_owned(), found });
         }
     }

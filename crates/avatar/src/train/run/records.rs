@@ -46,8 +46,6 @@ impl RunRecord {
 pub(super) const RUN_NAME: &str = "run.json";
 /// Name of the scores.
 pub(super) const SCORES_NAME: &str = "scores.json";
-/// Name of the log.
-pub(super) const LOG_NAME: &str = "log.jsonl";
 
 /// One line of `log.jsonl`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -44,10 +44,10 @@ Examples:
 
 docs/guides/fit-and-train-avatars.md defines the scores.")]
 pub struct EvalJob {
-    /// Folder of the avatar, or of its training; DIR@HEAD where no head.json names its head model
+    /// Folder of the avatar or of its training; DIR@HEAD if it has no head.json
     #[arg(value_name = "AVATAR")]
     pub avatar: AvatarSource,
-    /// Folder of the capture that it was trained on
+    /// Folder of the avatar's training capture
     #[arg(value_name = "CAPTURE")]
     pub capture: PathBuf,
     /// Pictures to score: val (held-out camera), test (held-out timesteps), train
@@ -62,11 +62,11 @@ pub struct EvalJob {
     #[arg(long, value_name = "N", requires = "flow", num_args = 1.., value_delimiter = ',', default_values_t = default_steps(), value_parser = clap::value_parser!(u32).range(1..))]
     #[serde(default = "default_steps")]
     pub step: Vec<u32>,
-    /// The capture whose head is the true one, if CAPTURE was fitted to its pictures [default: CAPTURE]
+    /// Original capture with the true head, if CAPTURE is a fit of it [default: CAPTURE]
     #[arg(long, value_name = "DIR", requires = "flow")]
     #[serde(default)]
     pub truth: Option<PathBuf>,
-    /// Score N pictures of each split and N pairs of each split and step, drawn at random, the same in every run
+    /// Score N random pictures of each split and N random pairs of each split and step, the same in every run
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     #[serde(default)]
     pub limit: Option<u32>,
@@ -75,11 +75,11 @@ pub struct EvalJob {
     #[arg(long, value_name = "COLOUR")]
     #[serde(default)]
     pub background: Option<Color>,
-    /// Give cameras no principal point and one focal length, as GaussianAvatars does; on for a training that did
+    /// Ignore principal points and use one focal length, as GaussianAvatars does; on if the training did
     #[arg(long)]
     #[serde(default)]
     pub faithful: bool,
-    /// Sort the Gaussians at each pixel; on for a training that did
+    /// Sort the Gaussians at each pixel; on if the training did
     #[arg(long)]
     #[serde(default)]
     pub sort_per_pixel: bool,

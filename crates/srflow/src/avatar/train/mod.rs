@@ -11,12 +11,14 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use srflow_avatar::capture::{Capture, CaptureSplit, HEAD_NAME, HeadRecord};
 use srflow_avatar::train::{
-    IterationsRecord, LogRecord, PRESETS, RunEvent, RunMode, RunOutcome, RunRecord, RunRequest, ScoresRecord,
-    SplitScore, StepReport, TrainConfig, Trainer, read_run, read_run_log, run,
+    IterationsRecord, LogRecord, PRESETS, RunEvent, RunOutcome, RunRecord, RunRequest, ScoresRecord,
+    SplitScore, StepReport, TrainConfig, Trainer, read_run, run,
 };
 use srflow_avatar::{HeadModel, HeadSource};
 use srflow_core::SettingError;
-use srflow_files::{Preset, SettingsError, read_settings, settings_text, with_setting, write_file};
+use srflow_files::{
+    Preset, RunMode, SettingsError, read_run_log, read_settings, settings_text, with_setting, write_file,
+};
 
 use super::scores::{split_table, split_words};
 use crate::clap::Args;
@@ -47,13 +49,14 @@ pub struct TrainJob {
     /// Folder of the run, new or empty
     #[arg(short, long, value_name = "DIR", required_unless_present_any = ["resume", "print_config"])]
     pub out: Option<PathBuf>,
-    /// Continue the run in this folder from its last checkpoint; give DATA and --model if its capture and head model have moved
+    /// Continue the run in this folder from its last checkpoint; pass DATA and --model if the capture or head
+    /// model has moved
     #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "config", "Overrides"])]
     pub resume: Option<PathBuf>,
     /// Head model
     #[arg(long, value_name = "HEAD", help = model_help())]
     pub model: Option<HeadSource>,
-    /// Seed of the person, of a built-in head [default: that in head.json of the capture, else 1]
+    /// Seed of a built-in head [default: that in head.json of the capture, else 1]
     #[arg(long, value_name = "N")]
     pub subject: Option<u64>,
     /// Preset or TOML file to start from
@@ -62,10 +65,10 @@ pub struct TrainJob {
     /// Print the configuration with every key instead of training, as TOML or JSON
     #[arg(long)]
     pub print_config: bool,
-    /// Least time between two checkpoints
+    /// Minimum time between two checkpoints
     #[arg(long, value_name = "MINUTES", default_value_t = Self::default().checkpoint_every)]
     pub checkpoint_every: f64,
-    /// Stop after this iteration, or up to 100 later, with a checkpoint, from which --resume continues
+    /// Write a checkpoint and stop after this iteration or up to 100 later; --resume continues
     #[arg(long, value_name = "N")]
     pub stop_after: Option<u64>,
     #[command(flatten)]
@@ -102,13 +105,13 @@ pub struct Overrides {
     /// Random seed
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// How Gaussians are added and removed: default (3D Gaussian Splatting), absgs or mcmc
+    /// Strategy that adds and removes Gaussians: default (3D Gaussian Splatting), absgs or mcmc
     #[arg(long, value_name = "NAME")]
     pub strategy: Option<String>,
     /// Render Gaussians smaller than a pixel antialiased; see docs/guides/rasterize.md
     #[arg(long)]
     pub antialiased: bool,
-    /// Keep the defects of GaussianAvatars' code, listed in docs/guides/fit-and-train-avatars.md
+    /// Keep the defects of GaussianAvatars' code, listed in docs/explanation/avatars.md
     #[arg(long)]
     pub faithful: bool,
     /// Any key of the configuration, e.g. ssim_weight=0.1 or density.until=15000
@@ -332,7 +335,10 @@ impl fmt::Display for TrainedAvatar {
         }
         let (Some(avatar), Some(report)) = (&self.avatar, &self.report) else {
             let run = self.run.display();
-            return write_line(f, format_args!("Stopped on request; srflow avatar train --resume {run} continues"));
+            return write_line(
+                f,
+                format_args!("Stopped on request; srflow avatar train --resume {run} continues"),
+            );
         };
         write_line(f, format_args!("Avatar       {}", avatar.display()))?;
         write_line(f, format_args!("Report       {}", report.display()))?;

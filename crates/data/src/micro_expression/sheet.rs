@@ -1,0 +1,226 @@
+//! Annotation tables: the published spreadsheets, and CSV files.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use srflow_core::{excerpt, excerpts};
+use srflow_files::{FileKind, open_file, read_file};
+
+use super::MicroExpressionError;
+use super::forms::{FORMS, Form};
+use super::source::ClipSource;
+use super::xlsx::{Cells, read_workbook};
+use crate::listing;
+
+/// Number of rows in which the header is looked for.
+const HEADER_ROWS: u32 = 40;
+
+/// A table with named columns.
+#[derive(Debug)]
+pub struct Table {
+    pub path: PathBuf,
+    columns: BTreeMap<String, u32>,
+    rows: Vec<(usize, BTreeMap<u32, String>)>,
+}
+
+/// One row of a table.
+#[derive(Debug, Clone, Copy)]
+pub struct Row<'a> {
+    table: &'a Table,
+    number: usize,
+    cells: &'a BTreeMap<u32, String>,
+}
+
+impl Table {
+    /// The non-empty rows below the header.
+    pub fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+        self.rows.iter().map(|(number, cells)| Row { table: self, number: *number, cells })
+    }
+
+    fn of(path: &Path, columns: BTreeMap<String, u32>, rows: Cells, header: u32) -> Self {
+        let below = rows.into_iter().filter(|(row, _)| *row > header);
+        Self {
+            path: path.to_owned(),
+            columns,
+            rows: below.map(|(row, cells)| (row as usize + 1, cells)).collect(),
+        }
+    }
+}
+
+impl<'a> Row<'a> {
+    /// The trimmed text of a column; empty if the cell or the column is.
+    pub fn text(self, column: &str) -> &'a str {
+        let at = self.table.columns.get(&header_key(column));
+        at.and_then(|at| self.cells.get(at)).map_or("", |text| text.trim())
+    }
+
+    /// The frame number of a column.
+    pub fn frame(self, column: &str) -> Result<u64, MicroExpressionError> {
+        let text = self.text(column);
+        text.parse().map_err(|_| self.wrong(format!("{column}: expected a frame number, found `{text}`")))
+    }
+
+    /// The text of a required column.
+    pub fn filled(self, column: &str) -> Result<&'a str, MicroExpressionError> {
+        match self.text(column) {
+            "" => Err(self.wrong(format!("{column}: expected a value, found an empty cell"))),
+            text => Ok(text),
+        }
+    }
+
+    /// An error about this row.
+    pub fn wrong(self, reason: String) -> MicroExpressionError {
+        MicroExpressionError::Row {
+            path: self.table.path.clone(),
+            row: self.number,
+            reason: excerpt(&reason),
+        }
+    }
+}
+
+/// Reads the spreadsheet of `source`, or the matching one in its folder.
+pub fn read_spreadsheet(form: &Form, source: &ClipSource) -> Result<Table, MicroExpressionError> {
+    if let Some(path) = &source.annotations {
+        return read_form(form, path);
+    }
+    match spreadsheet_in(form, &source.dir)? {
+        Some(table) => Ok(table),
+        None => Err(none_fits(form, &source.dir)),
+    }
+}
+
+/// The spreadsheet of this form in a folder, if there is one.
+pub fn spreadsheet_in(form: &Form, dir: &Path) -> Result<Option<Table>, MicroExpressionError> {
+    let mut fitting: Vec<Table> = Vec::new();
+    let spreadsheets = listing::files(dir, &["xlsx"])?;
+    // Names that start with ~$ are lock files of office programs.
+    for path in spreadsheets.iter().filter(|path| !listing::name(path).starts_with("~$")) {
+        match read_form(form, path) {
+            Ok(table) => fitting.push(table),
+            Err(MicroExpressionError::Columns { .. }) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    if let [first, second, ..] = &fitting[..] {
+        let found = format!(
+            "both {} and {} match: choose one with `annotations` {}:FILE",
+            listing::name(&first.path),
+            listing::name(&second.path),
+            form.kind
+        );
+        return Err(no_annotations(form, dir, found));
+    }
+    Ok(fitting.pop())
+}
+
+fn none_fits(form: &Form, dir: &Path) -> MicroExpressionError {
+    let spreadsheets = listing::files(dir, &["xlsx"]).unwrap_or_default();
+    let names: Vec<String> = spreadsheets.iter().map(|path| listing::name(path)).collect();
+    let there = match &names[..] {
+        [] => "there is no spreadsheet".to_owned(),
+        [only] => match read_form(form, &spreadsheets[0]) {
+            Err(error) => format!("{only} is not it: {error}"),
+            Ok(_) => String::new(),
+        },
+        _ => format!("none of {} is it", names.join(", ")),
+    };
+    no_annotations(
+        form,
+        dir,
+        format!("{there}. Put it there, or give it with `annotations` {}:FILE", form.kind),
+    )
+}
+
+fn no_annotations(form: &Form, dir: &Path, found: String) -> MicroExpressionError {
+    MicroExpressionError::NoAnnotations { kind: form.kind, dir: dir.to_owned(), expected: form.called, found }
+}
+
+/// Reads a spreadsheet of one form: the first sheet with its header row.
+fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
+    let sheets = read_sheets(path)?;
+    for rows in &sheets {
+        if let Some((header, columns)) = header_of(rows, form.columns) {
+            return Ok(Table::of(path, columns, rows.clone(), header));
+        }
+    }
+    let fits = |other: &&&Form| sheets.iter().any(|rows| header_of(rows, other.columns).is_some());
+    let found = match FORMS.iter().find(fits) {
+        Some(other) => format!("these are those of {}; give the file of {}", other.called, form.called),
+        None => match sheets.iter().flat_map(BTreeMap::values).find(|row| row.len() > 2) {
+            Some(row) => {
+                format!("the first full row holds {}", excerpts(row.values().map(String::as_str), 8))
+            }
+            None => "its sheets are empty".to_owned(),
+        },
+    };
+    Err(MicroExpressionError::Columns {
+        path: path.to_owned(),
+        kind: form.kind,
+        expected: form.columns.join(", "),
+        found,
+    })
+}
+
+/// The row that contains all `columns`, and the position of each name in it.
+fn header_of(rows: &Cells, columns: &[&str]) -> Option<(u32, BTreeMap<String, u32>)> {
+    rows.range(..HEADER_ROWS).find_map(|(row, cells)| {
+        let mut named = BTreeMap::new();
+        for (column, text) in cells {
+            named.entry(header_key(text)).or_insert(*column);
+        }
+        columns.iter().all(|column| named.contains_key(&header_key(column))).then_some((*row, named))
+    })
+}
+
+/// Spaces inside a name count: `Onset Frame` is SAMM's and `OnsetFrame` CASME II's.
+fn header_key(text: &str) -> String {
+    text.trim().trim_start_matches('\u{feff}').to_lowercase()
+}
+
+fn read_sheets(path: &Path) -> Result<Vec<Cells>, MicroExpressionError> {
+    let bytes = read_file(path, FileKind::Spreadsheet)?;
+    read_workbook(bytes).map_err(|reason| MicroExpressionError::Table {
+        path: path.to_owned(),
+        reason: format!("expected a valid .xlsx spreadsheet: {}", excerpt(&reason)),
+    })
+}
+
+/// Reads a CSV file whose header contains at least `columns`.
+pub fn read_csv(kind: &'static str, path: &Path, columns: &[&str]) -> Result<Table, MicroExpressionError> {
+    let wrong = |reason: String| MicroExpressionError::Table { path: path.to_owned(), reason };
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .from_reader(open_file(path, FileKind::Table)?.0);
+    let mut rows = Cells::new();
+    let mut next = 0;
+    for record in reader.records() {
+        let record = record
+            .map_err(|error| wrong(format!("expected a CSV table: {}", excerpt(&error.to_string()))))?;
+        let line = record.position().map_or(1, csv::Position::line);
+        // After a line that ends in CR LF, the reader is still on that line.
+        let row = u32::try_from(line.saturating_sub(1)).unwrap_or(u32::MAX).max(next);
+        next = row.saturating_add(1);
+        let cells = (0..).zip(&record).filter(|(_, text)| !text.trim().is_empty());
+        let cells: BTreeMap<u32, String> = cells.map(|(at, text)| (at, text.to_owned())).collect();
+        if !cells.is_empty() {
+            rows.insert(row, cells);
+        }
+    }
+    let header = rows.first_key_value().map(|(row, cells)| (*row, cells.clone())).unwrap_or_default();
+    let first = Cells::from([header]);
+    match header_of(&first, columns) {
+        Some((header, names)) => Ok(Table::of(path, names, rows, header)),
+        None => Err(MicroExpressionError::Columns {
+            path: path.to_owned(),
+            kind,
+            expected: columns.join(", "),
+            found: match first.first_key_value() {
+                Some((_, cells)) if !cells.is_empty() => {
+                    format!("its first row holds {}", excerpts(cells.values().map(String::as_str), 20))
+                }
+                _ => "it is empty".to_owned(),
+            },
+        }),
+    }
+}

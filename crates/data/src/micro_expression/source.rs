@@ -1,0 +1,79 @@
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use super::frames::ClipFolders;
+use super::{Annotation, Classes, Labels, MicroExpressionError};
+
+/// A kind of micro-expression dataset: its names and readers.
+#[derive(Debug)]
+pub struct ClipKind {
+    /// The name in `KIND:DIR`, e.g. `casme2`.
+    pub name: &'static str,
+    /// Releases that may follow after a hyphen; without one, the release that is found is read.
+    pub releases: &'static [&'static str],
+    /// Title in the help.
+    pub about: &'static str,
+    /// The paper's counts of negative, positive and surprise clips (its table of the micro-expression datasets).
+    pub published: Option<[usize; 3]>,
+    pub(super) labels: fn(&ClipSource) -> Result<Labels, MicroExpressionError>,
+    pub(super) folders: fn(&ClipSource, &[Annotation]) -> Result<ClipFolders, MicroExpressionError>,
+}
+
+impl fmt::Display for ClipKind {
+    /// `casme2[-raw|-cropped]`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)?;
+        if self.releases.is_empty() { Ok(()) } else { write!(f, "[-{}]", self.releases.join("|-")) }
+    }
+}
+
+impl PartialEq for ClipKind {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Eq for ClipKind {}
+
+/// A micro-expression dataset on disk, as in `KIND:DIR`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ClipSource {
+    pub kind: &'static ClipKind,
+    /// The requested release.
+    pub release: Option<&'static str>,
+    /// Its folder, which contains annotations and frames; for plain clips it may be the CSV file.
+    pub dir: PathBuf,
+    /// The annotation file, if elsewhere.
+    pub annotations: Option<PathBuf>,
+    /// The list of apex frames for SMIC, if elsewhere.
+    pub apex_list: Option<PathBuf>,
+    pub classes: Classes,
+    /// Require only the onset and apex frames of a clip. Without an annotated apex, it is the single frame between onset and
+    /// offset.
+    pub only_key_frames: bool,
+}
+
+impl ClipSource {
+    /// The dataset of this kind in a folder.
+    pub(crate) fn new(kind: &'static ClipKind, dir: &Path) -> Self {
+        Self {
+            kind,
+            release: None,
+            dir: dir.to_owned(),
+            annotations: None,
+            apex_list: None,
+            classes: Classes::default(),
+            only_key_frames: false,
+        }
+    }
+}
+
+impl fmt::Display for ClipSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.kind.name)?;
+        if let Some(release) = self.release {
+            write!(f, "-{release}")?;
+        }
+        write!(f, ":{}", self.dir.display())
+    }
+}

@@ -1,0 +1,39 @@
+use crate::*;
+
+const HEADER: &str = "clip,subject,onset,apex,offset,class\n";
+
+fn clips(rows: &str) -> Tree {
+    let frames = [3, 4, 5]
+        .into_iter()
+        .flat_map(|frame| ["s01/c01", "s01/c02"].map(|clip| format!("{clip}/{frame:04}.png")));
+    let dir = Tree::of(
+        frames.chain(["s01/c01_flow.flo", "s01/c02_flow.npz16", "s01/c02_mask.png"].map(str::to_owned)),
+    );
+    fs::write(dir.path().join("clips.csv"), format!("{HEADER}{rows}")).unwrap();
+    dir
+}
+
+#[test]
+fn a_pair_is_onset_and_apex() {
+    let dir = clips("s01/c01,s01,3,5,5,positive\ns01/c02,s01,3,4,5,negative\n");
+    let dataset = dir.open("clips", None);
+    assert_eq!(
+        listed(&dataset),
+        [
+            "s01/c01/0003: s01/c01/0003.png > s01/c01/0005.png = s01/c01_flow.flo",
+            "s01/c02/0003: s01/c02/0003.png > s01/c02/0004.png = s01/c02_flow.npz16",
+        ]
+    );
+    let masks = dataset.entries().iter().map(|entry| entry.mask.is_some());
+    assert_eq!(masks.collect::<Vec<_>>(), [false, true]);
+    dir.refuses("clips", Some(Split::Test), &["no test split", "all"]);
+}
+
+#[test]
+fn clips_without_apex_or_flow_are_named() {
+    let dir = clips("s01/c01,s01,3,,5,positive\ns01/c02,s01,3,4,5,negative\n");
+    dir.remove("s01/c02_flow.npz16");
+    dir.refuses("clips", None, &["s01/c01 has no apex", "s01/c02 has no flow s01/c02_flow.*"]);
+    dir.remove("s01/c02/0004.png");
+    dir.refuses("clips", None, &["1 frames of 1 clips are missing"]);
+}

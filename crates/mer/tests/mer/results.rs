@@ -1,0 +1,77 @@
+//! Tables of results.
+
+use srflow_mer::{
+    FoldRecord, Loso, Outcome, confusion_latex, confusions_csv, fold_table, folds_csv, score_tables,
+    scores_csv, unseen_classes,
+};
+
+use crate::made_up::{NEGATIVE, POSITIVE, SURPRISE, prediction};
+
+fn outcome(method: &str, said: usize) -> Outcome {
+    let mut predictions = Vec::new();
+    for epoch in [0, 20] {
+        let said = if epoch == 0 { NEGATIVE } else { said };
+        predictions.push(prediction("1", "a", epoch, [NEGATIVE, said]));
+        predictions.push(prediction("2", "b", epoch, [POSITIVE, said]));
+        predictions.push(prediction("2", "c", epoch, [POSITIVE, said]));
+    }
+    let fold = |subject: &str, clips| FoldRecord {
+        dataset: "made-up".into(),
+        subject: subject.into(),
+        clips,
+        unseen_classes: Vec::new(),
+        training_losses: vec![1.0, 0.5],
+        seconds: 1.0,
+        resumed: false,
+    };
+    let classes = ["negative", "positive", "surprise"].map(str::to_owned).into();
+    let loso = Loso { classes, predictions, folds: vec![fold("1", 1), fold("2", 2)] };
+    Outcome::of(method, "made-up", &loso).unwrap()
+}
+
+#[test]
+fn tables_hold_each_metric_at_its_best_and_at_the_last_epoch() {
+    let (a, b) = (outcome("a", POSITIVE), outcome("b", SURPRISE));
+    let tables = score_tables(&[&a, &b], &[]);
+    let accuracy = |table: usize| tables[table].rows.iter().map(|row| row.values[3]).collect::<Vec<_>>();
+    assert_eq!(accuracy(0), [Some(0.5), Some(0.5), Some(0.5)]);
+    assert_eq!(accuracy(1), [Some(0.5), Some(0.0), Some(0.5)]);
+    assert!(tables[1].rows[2].baseline && tables[1].title.contains("3 clips, 2 subjects; after epoch 20"));
+    // Two of the three clips are positive and predicted so: recalls 0, 1 and none.
+    assert_eq!(tables[1].rows[0].values[6], Some(1.0 / 3.0));
+    let latex = confusion_latex(&a);
+    let shaded = "positive & \\cellcolor{blue!0}0 & \\cellcolor{blue!60}2 & \\cellcolor{blue!0}0 \\\\\n";
+    assert!(latex.contains(shaded), "{latex}");
+    assert_eq!(fold_table(&b).rows[1].values[..2], [Some(2.0), Some(0.0)]);
+    assert_eq!(fold_table(&b).rows[1].values.last(), Some(&Some(0.5)));
+    let both = [a.clone(), b];
+    let scores = scores_csv(&both);
+    let lines: Vec<&str> = scores.lines().collect();
+    assert_eq!(lines.len(), 1 + 2 * 2 + 1, "{scores}");
+    assert!(
+        lines[2].starts_with("made-up,a,last,20,") && lines[1].starts_with("made-up,a,best,,"),
+        "{scores}"
+    );
+    assert!(lines[5].starts_with("made-up,always positive,last,,"), "{scores}");
+    assert_eq!(confusions_csv(&both).lines().nth(2), Some("made-up,a,20,positive,0,2,0"));
+    assert_eq!(folds_csv(&both).lines().nth(2), Some("made-up,a,made-up,2,2,20,1.0,1.0,1.0,1.0,1.0,0.5"));
+    let mut alone = a.clone();
+    assert_eq!(unseen_classes(&a).as_deref(), Some("made-up: no clip shows surprise."));
+    alone.folds[1].unseen_classes = vec!["positive".to_owned(), "surprise".to_owned()];
+    let note = unseen_classes(&alone).unwrap();
+    assert!(note.ends_with("left to learn from: made-up 2 (positive)."), "{note}");
+    let json = serde_json::to_value(a.record()).unwrap();
+    assert_eq!(json["best"][3]["metric"], "f1_mu");
+    assert_eq!(json["last"]["confusion"][1], serde_json::json!([0, 2, 0]));
+}
+
+#[test]
+fn methods_of_different_runs_have_their_own_last_epochs() {
+    let (long, mut short) = (outcome("long", POSITIVE), outcome("short", POSITIVE));
+    short.summary.epochs.truncate(1);
+    let table = &score_tables(&[&long, &short], &[])[1];
+    assert!(table.title.contains("after each method's last epoch"), "{}", table.title);
+    let epochs: Vec<Option<f64>> = table.rows.iter().map(|row| row.values[0]).collect();
+    assert_eq!((table.columns[0].header.as_str(), epochs), ("epoch", vec![Some(20.0), Some(0.0), None]));
+    assert_eq!(table.columns.len(), table.rows[0].values.len());
+}

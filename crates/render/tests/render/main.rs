@@ -1,0 +1,14 @@
+//! Making datasets, in a single test program so that the libraries are linked once.
+
+mod capture;
+mod check;
+mod device;
+mod label_error;
+mod made;
+mod recording;
+mod regions;
+mod shapes;
+mod synth;
+mod threads;
+mod tiny;
+mod tree;

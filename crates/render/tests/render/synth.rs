@@ -1,0 +1,127 @@
+//! A rendered micro-expression dataset is complete, independent of the number of threads, and its flow is the motion.
+
+use std::fs;
+use std::path::Path;
+use std::sync::Mutex;
+
+use srflow_core::Shard;
+use srflow_data::micro_expression::{Classes, ClipDataset, count_classes};
+use srflow_files::{read_flow, read_image, read_mask};
+use srflow_render::RenderError;
+use srflow_render::job::{Event, Request};
+use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
+
+use crate::threads::on_threads;
+use crate::tree::contents;
+
+/// Small and short: the heads take longer than the frames.
+fn settings() -> SynthSettings {
+    SynthSettings { subjects: 1, clips: 3, side: 64, fps: 25.0, ..SynthSettings::default() }
+}
+
+fn make(settings: &SynthSettings, dir: &Path, threads: usize) -> Result<u64, RenderError> {
+    let events = Mutex::new(Vec::new());
+    let request = Request { on_event: &|event| events.lock().unwrap().push(event), ..Request::new(dir) };
+    let report = run(settings, request, threads)?;
+    let events = events.into_inner().unwrap();
+    assert_eq!(events[0], Event::Started { units: report.clips, whole: report.clips - report.made });
+    let made = events.iter().filter(|event| matches!(event, Event::Made { .. }));
+    assert_eq!(made.count() as u64, report.made);
+    Ok(report.made)
+}
+
+fn run(settings: &SynthSettings, request: Request, threads: usize) -> Result<SynthReport, RenderError> {
+    on_threads(threads, || synthesize(settings, request))
+}
+
+#[test]
+fn a_set_is_whole_and_the_same_however_it_is_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let (one, two) = (folder.path().join("one"), folder.path().join("two"));
+    assert_eq!(make(&settings(), &one, 1).unwrap(), 3);
+    assert_eq!(make(&settings(), &two, 2).unwrap(), 3);
+    let whole = contents(&one);
+    assert_eq!(whole, contents(&two), "the bytes do not depend on the threads");
+
+    // As if it had been killed during the second clip.
+    fs::remove_file(one.join("s01/c02.json")).unwrap();
+    fs::remove_file(one.join("s01/c02/0004.png")).unwrap();
+    fs::remove_file(one.join("clips.csv")).unwrap();
+    assert_eq!(make(&settings(), &one, 2).unwrap(), 1);
+    assert_eq!(contents(&one), whole);
+    assert_eq!(make(&settings(), &one, 2).unwrap(), 0);
+
+    // In two shards, the second of them in two runs, with leftovers of a kill during writing.
+    let three = folder.path().join("three");
+    let shard = |number| Request { shard: Shard { number, of: 2 }, ..Request::new(&three) };
+    let first = run(&settings(), shard(1), 2).unwrap();
+    assert_eq!((first.clips, first.made, first.stopped, first.mean_flow), (1, 1, false, None));
+    let second = run(&settings(), Request { stop_after: Some(1), ..shard(2) }, 2).unwrap();
+    assert_eq!((second.clips, second.made, second.stopped), (2, 1, true));
+    let left = three.join(if three.join("s01/c02.json").exists() { "s01/c03" } else { "s01/c02" });
+    fs::write(left.join(".0001.png.7-0.partial"), "half").unwrap();
+    assert!(!three.join("clips.csv").exists());
+    assert_eq!(make(&settings(), &three, 2).unwrap(), 1);
+    assert_eq!(contents(&three), whole);
+
+    let dataset = ClipDataset::open(&format!("clips:{}", one.display()).parse().unwrap(), false).unwrap();
+    let annotations = dataset.clips.iter().map(|clip| &clip.annotation);
+    assert_eq!(count_classes(&Classes::default(), annotations), [1, 1, 1]);
+    let landmarks = fs::read_to_string(one.join("landmarks.csv")).unwrap();
+    assert_eq!(landmarks.lines().count(), 4);
+    for clip in &dataset.clips {
+        let a = &clip.annotation;
+        assert!(!a.action_units.is_empty() && a.apex.is_some_and(|apex| a.onset < apex && apex < a.offset));
+        assert_eq!(clip.frames.len() as u64, a.offset - a.onset + 1);
+        let flow = read_flow(&one.join(format!("{}_flow.flo", a.clip))).unwrap();
+        let onset = read_image(clip.frame(a.onset).unwrap()).unwrap();
+        let mask = read_mask(&one.join(format!("{}_mask.png", a.clip))).unwrap();
+        assert_eq!((flow.size(), onset.size(), mask.size()), ((64, 64), (64, 64), (64, 64)));
+        let longest = flow.pixels().iter().map(|[u, v]| u.hypot(*v)).fold(0.0, f32::max);
+        assert!(longest > 0.05 && longest < 6.0, "{longest} px: a micro-expression");
+    }
+}
+
+#[test]
+fn without_disturbance_only_the_expression_moves() {
+    let folder = tempfile::tempdir().unwrap();
+    let still = SynthSettings { noise: 0.0, drift: 0.0, lighting: 0.0, clips: 1, ..settings() };
+    make(&still, folder.path(), 2).unwrap();
+    let dataset =
+        ClipDataset::open(&format!("clips:{}", folder.path().display()).parse().unwrap(), false).unwrap();
+    let clip = &dataset.clips[0];
+    let frame = |number| read_image(clip.frame(number).unwrap()).unwrap();
+    let a = &clip.annotation;
+    let (onset, apex) = (frame(a.onset), frame(a.apex.unwrap()));
+    assert_eq!(onset, frame(a.offset), "the face is back at rest");
+    let flow = read_flow(&folder.path().join(format!("{}_flow.flo", a.clip))).unwrap();
+    let (mut moved, mut changed_where_still) = (0, 0);
+    for y in 0..64 {
+        for x in 0..64 {
+            let [u, v] = flow.get(x, y);
+            moved += usize::from(u.hypot(v) > 0.1);
+            let change = (0..3).map(|c| onset.get(x, y)[c].abs_diff(apex.get(x, y)[c])).max().unwrap();
+            changed_where_still += usize::from(u.hypot(v) < 1e-4 && change > 8);
+        }
+    }
+    assert!(moved > 20 && moved < 64 * 64 / 2, "{moved} pixels move");
+    assert!(changed_where_still < 10, "{changed_where_still} pixels change without flow");
+}
+
+#[test]
+fn another_folder_is_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("thesis.tex"), "x").unwrap();
+    let error = make(&settings(), folder.path(), 1).unwrap_err();
+    assert!(matches!(error, RenderError::NotADataset { .. }), "{error}");
+
+    let set = folder.path().join("set");
+    fs::create_dir(&set).unwrap();
+    fs::write(
+        set.join("synth.json"),
+        serde_json::to_string(&SynthSettings { seed: 9, ..settings() }).unwrap(),
+    )
+    .unwrap();
+    let error = make(&settings(), &set, 1).unwrap_err().to_string();
+    assert!(error.contains("seed 9, requested is 1") && error.contains("`force`"), "{error}");
+}

@@ -31,7 +31,7 @@ const STOPPED: u8 = 75;
 
 /// Render facial optical-flow datasets from avatars of 3D Gaussians; estimate, train and score optical flow.
 #[derive(Parser)]
-#[command(version, propagate_version = true, arg_required_else_help = true)]
+#[command(name = "srflow", version, propagate_version = true, arg_required_else_help = true)]
 #[command(after_help = "\
 Exit codes: 0 success, 1 failure, 2 wrong usage, 75 stopped on request or by SIGTERM or SIGINT (run the command again to continue). With --json \
 standard output holds one JSON value: the result, or {\"error\": \"...\"} on failure.")]

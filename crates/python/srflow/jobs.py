@@ -1291,7 +1291,7 @@ def mer_data(
         datasets: Datasets.
         annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
         apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
-        classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
+        classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
         labels_only: Read only the annotations; do not look for frames.
@@ -1402,7 +1402,7 @@ def mer_apex(
         force: Overwrite an existing list.
         annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
         apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
-        classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
+        classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
@@ -1599,7 +1599,7 @@ def mer_features(
         cache: Folder that caches each clip's features, shared with `srflow mer run` [default: none].
         annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
         apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
-        classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
+        classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
         apex: How to spot the apex of clips without one: ratio or strain.
@@ -1726,7 +1726,7 @@ def mer_run(
         shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
         apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
-        classes: Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md).
+        classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
         apex: How to spot the apex of clips without one: ratio or strain.

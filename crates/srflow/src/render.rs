@@ -25,7 +25,7 @@ use crate::{Job, Report, Watch, WhenStopped};
 Examples:
   srflow render --out srflow               the paper's 11,161 pairs at 2200x3208
   srflow render --out tiny --scenes 3 --frames 8 --size 550x802
-  srflow render --out part --shard 2/8     one of eight parts; merge by copying
+  srflow render --out part --shard 2/8     one of eight parts; join them with srflow merge
   srflow render --out train --preset wild --size 550x802     frames that look like recordings
 
 Running the same command again continues a stopped run. `srflow check` examines the dataset.")]

@@ -26,7 +26,7 @@ use crate::{Job, Report, Watch};
 ///
 /// Identity, and expressions, joint rotations and translation at every timestep, from the 68 landmarks of dlib in pictures of
 /// any number of calibrated cameras. Missing pictures, missing landmarks and wrong detections are tolerated and reported. Writes a
-/// capture as VHAP exports it, whose pictures stay where they are. docs/guides/fit-and-train-avatars.md describes the files.
+/// capture as VHAP exports it, whose pictures stay where they are. docs/reference/avatar-files.md describes the files.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "Examples:
   srflow avatar fit capture --model builtin-average --out fitted

@@ -19,7 +19,7 @@ use crate::{Job, Report, Watch};
 /// Make a capture from pictures in folders and a file of their cameras
 ///
 /// Writes the lists of a capture as VHAP exports it; the pictures stay where they are. Camera 8, or else the last one, and the last 30 % of
-/// the timesteps are held out. `srflow avatar fit` adds a head. docs/guides/fit-and-train-avatars.md describes the files.
+/// the timesteps are held out. `srflow avatar fit` adds a head. docs/reference/avatar-files.md describes the files.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "Examples:
   srflow avatar import video --pattern 'cam_{camera}/frame_{timestep}' --cameras camera_params.json --out capture

@@ -18,7 +18,7 @@ use crate::{Job, Report, Watch};
 /// `srflow avatar export` writes the mesh of a person together with the Gaussians.
 ///
 /// The parameters have VHAP's names (shape, expr, rotation, neck_pose, jaw_pose, eyes_pose, translation, static_offset,
-/// dynamic_offset) for every kind of head; those that are missing are zero. docs/guides/fit-and-train-avatars.md describes the kinds of head and
+/// dynamic_offset) for every kind of head; those that are missing are zero. docs/reference/avatar-files.md describes the kinds of head and
 /// where their files come from.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "Examples:

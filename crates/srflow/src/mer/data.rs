@@ -24,7 +24,7 @@ Examples:
   srflow mer data samm:/data/SAMM --labels-only --clips
   srflow mer data casme2:/data/CASME2 --classes casme2-5
 
-Frames are found by their number, from onset to offset. docs/guides/micro-expressions.md describes the folders.
+Frames are found by their number, from onset to offset. docs/reference/micro-expression-files.md describes the folders.
 
 {}", super::sources::kinds_help()))]
 pub struct DataJob {

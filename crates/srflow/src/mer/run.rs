@@ -29,7 +29,7 @@ Examples:
   srflow mer run --data clips:rendered --method tvl1 --epochs 21 --out first-look
 
 Each dataset, and all of them together (`composite`), is split by subject: for each held-out subject a classifier is \
-trained on all others and predicts the classes of that subject's clips. docs/guides/micro-expressions.md defines every number.
+trained on all others and predicts the classes of that subject's clips. docs/explanation/micro-expression-protocol.md defines every number.
 
 This takes time: with the 201 epochs of the paper's protocol, SAMM, CASME II, SMIC-HS and the composite take about five \
 hours on two CPU cores for each method. For a first look, --epochs 21 takes a tenth of that, --classifier ststnet much \

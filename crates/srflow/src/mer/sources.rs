@@ -21,7 +21,7 @@ pub struct SourceArgs {
     /// CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder]
     #[arg(long, value_name = "FILE")]
     pub apex_list: Option<PathBuf>,
-    /// Classes: a name (see below), or your own TOML file (docs/guides/micro-expressions.md)
+    /// Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md)
     #[arg(long, value_name = "CLASSES", default_value_t = Self::default().classes)]
     pub classes: String,
     /// Tolerate missing frames; clips without onset or apex are dropped

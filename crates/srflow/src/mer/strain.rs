@@ -26,7 +26,7 @@ Examples:
   srflow mer strain onset.png apex.png -o strain.npy --size full
 
 The literature's formula is sqrt(ux^2 + vy^2 + (uy + vx)^2 / 2) with derivatives per pixel; off-tanet is what that \
-network's published code computes, including its error (see docs/guides/micro-expressions.md).")]
+network's published code computes, including its error (see docs/explanation/micro-expression-protocol.md).")]
 pub struct StrainJob {
     /// Onset frame
     #[arg(value_name = "A")]

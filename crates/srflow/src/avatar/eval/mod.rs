@@ -42,7 +42,7 @@ Examples:
   srflow avatar eval runs/fitted fitted --flow --truth capture
   srflow avatar eval avatar@flame:flame2023.pkl person --split test --json
 
-docs/guides/fit-and-train-avatars.md defines the scores.")]
+docs/explanation/avatars.md defines the scores.")]
 pub struct EvalJob {
     /// Folder of the avatar or of its training; DIR@HEAD if it has no head.json
     #[arg(value_name = "AVATAR")]

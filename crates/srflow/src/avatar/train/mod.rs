@@ -32,7 +32,7 @@ use crate::{Job, Report, Watch, WhenStopped, machine};
 ///
 /// Gaussians bound to the triangles of the head model are learned from the pictures, as in GaussianAvatars, and its poses are
 /// corrected. Pictures of a held-out camera and of held-out timesteps are scored. Writes the avatar in GaussianAvatars' files and a
-/// report. docs/guides/fit-and-train-avatars.md describes the files and the settings.
+/// report. docs/guides/fit-and-train-avatars.md describes the settings.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 #[command(after_help = "Examples:

@@ -2,7 +2,7 @@
 """Small files with the structure of FLAME's, as Python 2, Python 3 and NumPy write them, and the vertices that FLAME's equations
 give for them in float64.
 
-Writes crates/avatar/tests/data/flame/. Needs numpy and scipy:
+Writes crates/head/tests/data/flame/. Needs numpy and scipy:
 
     tools/golden/flame.py
 
@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse
 
-DATA = Path(__file__).resolve().parents[2] / "crates/avatar/tests/data/flame"
+DATA = Path(__file__).resolve().parents[2] / "crates/head/tests/data/flame"
 VERTICES, SHAPES, EXPRESSIONS, JOINTS = 8, 300, 3, 5
 PARENTS = [0xFFFFFFFF, 0, 1, 1, 1]
 

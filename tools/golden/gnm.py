@@ -2,7 +2,7 @@
 """A small file with the structure of gnm_head.npz (google/GNM, version 3), and the vertices and landmarks that the equations of
 gnm_common.py give for it in float64.
 
-Writes crates/avatar/tests/data/gnm/. Needs numpy:
+Writes crates/head/tests/data/gnm/. Needs numpy:
 
     tools/golden/gnm.py
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-DATA = Path(__file__).resolve().parents[2] / "crates/avatar/tests/data/gnm"
+DATA = Path(__file__).resolve().parents[2] / "crates/head/tests/data/gnm"
 NAMES = ["neck", "head", "left_eye", "right_eye"]
 PARENTS = [0, 0, 1, 1]
 VERTICES, IDENTITIES, EXPRESSIONS = 28, 4, 5

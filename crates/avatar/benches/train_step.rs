@@ -8,7 +8,8 @@ use std::time::Instant;
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use srflow_avatar::train::{GaussianAdam, ImageLoss, LearningRates, ParameterGradients};
-use srflow_avatar::{Avatar, BoundGaussians, BoundGradients, HeadPose, TriangleFrame};
+use srflow_avatar::{Avatar, BoundGaussians, BoundGradients};
+use srflow_head::{HeadPose, TriangleFrame};
 use srflow_splat::{
     Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Options, Outputs, Rasterizer,
 };

@@ -6,8 +6,9 @@ mod synthetic;
 
 use std::path::PathBuf;
 
+use srflow_avatar::HeadSource;
 use srflow_avatar::fit::{FitOptions, fit};
-use srflow_avatar::{Avatar, HeadModel};
+use srflow_head::HeadModel;
 use synthetic::{Capture, capture, errors};
 
 const PEOPLE: u64 = 3;
@@ -27,7 +28,8 @@ fn main() {
     ];
     if let Some(folder) = std::env::args_os().skip(1).find(|argument| argument != "--long").map(PathBuf::from)
     {
-        let ict = Avatar::ict(&folder, 1).expect("ICT-FaceKit").model().clone();
+        let source: HeadSource = format!("ict:{}", folder.display()).parse().expect("a head");
+        let ict = source.model(1).expect("ICT-FaceKit");
         rows.push(("ICT-FaceKit", vec![ict.clone()], ict));
     }
     for (name, truths, model) in &rows {

@@ -1,63 +1,25 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use glam::Vec3;
 use rayon::prelude::*;
 use srflow_files::FileError;
+use srflow_head::{
+    HeadError, HeadGradient, HeadModel, HeadParameters, HeadPose, ParametersError, PoseParameters,
+    ShapedHead, TriangleFrame, dress, vertex_gradients,
+};
 use srflow_splat::{GaussianGradients, Gaussians};
 
-use crate::binding::{BindingError, BoundGaussians, BoundGradients, TriangleFrame, vertex_gradients};
-use crate::dress::dress;
-use crate::{
-    HeadGradient, HeadModel, HeadModelError, HeadParameters, HeadPose, HeadSource, ParametersError,
-    PoseParameters, ShapedHead,
-};
+use crate::binding::{BindingError, BoundGaussians, BoundGradients};
 
 /// Why an avatar could not be created.
 #[derive(Debug, thiserror::Error)]
 pub enum AvatarError {
-    /// A file could not be read.
+    /// A file of the avatar could not be read.
     #[error(transparent)]
     Read(#[from] FileError),
-    /// A file of ICT-FaceKit's folder could not be read.
-    #[error(
-        "{0}. An ICT-FaceKit folder (FaceXModel) contains generic_neutral_mesh.obj, vertex_indices.json, identityNNN.obj and one OBJ per expression"
-    )]
-    IctFolder(#[source] FileError),
-    /// A file is malformed.
-    #[error("{}:{line}: {problem}", .path.display())]
-    Malformed {
-        path: PathBuf,
-        /// Line number, from 1.
-        line: usize,
-        /// What was expected, and what was found.
-        problem: String,
-    },
-    /// A mesh does not have the published topology.
-    #[error("{}: {found} vertices, where the topology of {model} has {expected}; use the published file", .path.display())]
-    Topology {
-        path: PathBuf,
-        /// Whose topology it is.
-        model: &'static str,
-        /// Vertices of the published topology.
-        expected: usize,
-        /// Vertices in the file.
-        found: usize,
-    },
-    /// A shape has another number of vertices than the neutral mesh.
-    #[error("{}: {found} vertices, but {} has {expected}; both must have the same topology", .path.display(), .reference.display())]
-    VertexCount {
-        /// The shape.
-        path: PathBuf,
-        /// Vertices in the shape.
-        found: usize,
-        /// The neutral mesh.
-        reference: PathBuf,
-        /// Vertices in the neutral mesh.
-        expected: usize,
-    },
-    /// The head model is inconsistent.
+    /// The head model could not be read, or not be dressed.
     #[error(transparent)]
-    Model(#[from] HeadModelError),
+    Head(#[from] HeadError),
     /// Gaussians refer to triangles that the model lacks.
     #[error(transparent)]
     Binding(#[from] BindingError),
@@ -84,14 +46,6 @@ pub enum AvatarError {
     /// The files of an avatar name a head model that there is not.
     #[error("{}: head {reason}; give another, as avatar:{}@HEAD", .dir.display(), .dir.display())]
     HeadName { dir: PathBuf, reason: String },
-    /// The model has no landmarks, which place brows, lashes and the colours of the face.
-    #[error("the head model {model} has {found} landmarks; dressing it needs the 68 of dlib")]
-    Landmarks {
-        /// Name of the head model.
-        model: String,
-        /// Number of its landmarks.
-        found: usize,
-    },
 }
 
 /// A person: a head model, the shape of one head, and the Gaussians bound to its triangles.
@@ -134,26 +88,19 @@ impl Avatar {
         Self::of(HeadModel::builtin(seed), &[], seed)
     }
 
-    /// A person on the head model of the ICT-FaceKit folder `dir` (`FaceXModel` as published, or a part of it). The seed
-    /// determines shape, skin, hair and eyes.
-    ///
-    /// # Errors
-    /// Names the file that is missing, malformed, or has another topology.
-    pub fn ict(dir: &Path, seed: u64) -> Result<Self, AvatarError> {
-        HeadSource::ict(dir).avatar(seed)
-    }
-
     /// A person on any head model, with the given weights of its identity basis. The seed determines skin, hair and eyes.
     ///
     /// # Errors
     /// When the model is inconsistent or has no landmarks.
     pub fn of(model: HeadModel, identity: &[f32], seed: u64) -> Result<Self, AvatarError> {
-        model.validate()?;
-        if model.landmarks.len() < 68 {
-            return Err(AvatarError::Landmarks { model: model.name, found: model.landmarks.len() });
-        }
+        model.validate().map_err(HeadError::from)?;
         let shaped = model.shaped(identity);
-        let gaussians = dress(&model, &shaped, seed);
+        let mut frames = Vec::new();
+        write_frames(&model, &shaped.vertices, &mut frames);
+        let mut gaussians = BoundGaussians::default();
+        for (triangle, splat) in dress(&model, &shaped, seed)? {
+            gaussians.bind(triangle, &frames[triangle as usize], &splat);
+        }
         let identity = HeadParameters { shape: identity.to_vec(), ..HeadParameters::default() };
         Ok(Self { model, identity, own_motion: Vec::new(), shaped, gaussians })
     }
@@ -168,7 +115,7 @@ impl Avatar {
         local: Gaussians,
         triangles: Vec<u32>,
     ) -> Result<Self, AvatarError> {
-        model.validate()?;
+        model.validate().map_err(HeadError::from)?;
         parameters.check(&model)?;
         let gaussians = BoundGaussians::new(local, triangles, model.triangles.len())?;
         let own_motion = parameters.poses;
@@ -217,15 +164,7 @@ impl Avatar {
     /// two are in correspondence. `head` and `out` keep their memory between frames.
     pub fn gaussians_into(&self, pose: &HeadPose, head: &mut PosedHead, out: &mut Gaussians) {
         self.model.vertices(&self.shaped, pose, &mut head.vertices);
-        let vertices = &head.vertices;
-        self.model
-            .triangles
-            .par_iter()
-            .with_min_len(2048)
-            .map(|&[a, b, c]| {
-                TriangleFrame::of(vertices[a as usize], vertices[b as usize], vertices[c as usize])
-            })
-            .collect_into_vec(&mut head.frames);
+        write_frames(&self.model, &head.vertices, &mut head.frames);
         self.gaussians.world_into(&head.frames, out);
     }
 
@@ -247,4 +186,13 @@ impl Avatar {
         vertex_gradients(&self.model.triangles, &head.vertices, &bound.frames, &mut vertices);
         self.model.backward(identity, &self.shaped, pose, &vertices)
     }
+}
+
+/// The frames of all triangles of `model`.
+fn write_frames(model: &HeadModel, vertices: &[Vec3], out: &mut Vec<TriangleFrame>) {
+    let frame = |triangle: &[u32; 3]| {
+        let [a, b, c] = triangle.map(|vertex| vertices[vertex as usize]);
+        TriangleFrame::of(a, b, c)
+    };
+    model.triangles.par_iter().with_min_len(2048).map(frame).collect_into_vec(out);
 }

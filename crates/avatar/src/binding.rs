@@ -1,63 +1,13 @@
 mod backward;
 
-use glam::{Mat3, Quat, Vec3};
+use glam::{Quat, Vec3};
 use rayon::prelude::*;
+use srflow_head::{Splat, TriangleFrame};
 use srflow_splat::Gaussians;
 
 use crate::train::{GaussianAdam, LearningRates, ParameterGradients};
 
-pub use backward::{BoundGradients, TriangleFrameGradient, vertex_gradients};
-
-/// The local frame of a triangle in GaussianAvatars (Qian et al. 2024; `utils/graphics_utils.py`): origin at the
-/// centroid, axes along the first edge, the normal and their cross product, unit length the mean of base and height.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TriangleFrame {
-    /// Centroid.
-    pub origin: Vec3,
-    /// World from local axes `[a0 | a1 | a2]`: a0 along the first edge, a1 the normal, a2 = -(a1 x a0).
-    pub rotation: Quat,
-    /// Metres per local unit: half of the first edge's length plus the height over it; 0 for a point.
-    pub scale: f32,
-}
-
-impl TriangleFrame {
-    /// The frame of a triangle. A degenerate triangle still gets a valid rotation: its missing axes are arbitrary.
-    pub fn of(v0: Vec3, v1: Vec3, v2: Vec3) -> Self {
-        let a0 = (v1 - v0).normalize_or(Vec3::X);
-        let a1 = a0.cross(v2 - v0).try_normalize().unwrap_or_else(|| a0.any_orthonormal_vector());
-        let a2 = a0.cross(a1);
-        Self {
-            origin: (v0 + v1 + v2) / 3.0,
-            rotation: Quat::from_mat3(&Mat3::from_cols(a0, a1, a2)),
-            scale: ((v1 - v0).length() + a2.dot(v2 - v0).abs()) * 0.5,
-        }
-    }
-
-    /// World point of a local point: `k R x + T`.
-    pub fn point(&self, local: Vec3) -> Vec3 {
-        self.rotation * (local * self.scale) + self.origin
-    }
-
-    /// Local point of a world point; the origin when the triangle is a point.
-    pub fn local_from_world(&self, world: Vec3) -> Vec3 {
-        if self.scale > 0.0 {
-            (self.rotation.inverse() * (world - self.origin)) / self.scale
-        } else {
-            Vec3::ZERO
-        }
-    }
-}
-
-/// One Gaussian in world units, before binding.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Splat {
-    pub position: Vec3,
-    pub scale: Vec3,
-    pub rotation: Quat,
-    pub opacity: f32,
-    /// sRGB, `0..=1`.
-    pub color: Vec3,
-}
+pub use backward::BoundGradients;
 
 /// Gaussians cannot be bound to the triangles of a model.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -12,7 +12,8 @@ use srflow_files::{FileError, FileProblem, create_folder};
 use srflow_splat::{Gaussians, read_bound_ply, write_bound_ply};
 
 use crate::capture::{HEAD_NAME, HeadRecord};
-use crate::{Avatar, AvatarError, HeadModel, HeadParameters};
+use crate::{Avatar, AvatarError};
+use srflow_head::{HeadModel, HeadParameters};
 
 const GAUSSIANS: &str = "point_cloud.ply";
 const PARAMETERS: &str = "flame_param.npz";

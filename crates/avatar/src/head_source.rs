@@ -1,150 +1,75 @@
-//! Where head models come from: a table of kinds, one line each.
+//! Where heads come from: head models, which are dressed, and trained avatars.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use srflow_core::random::Key;
+use srflow_head::{HeadModel, ModelSource};
 
 use crate::avatar::AvatarError;
 use crate::capture::HeadRecord;
-use crate::{Avatar, AvatarFiles, HeadModel, files, flame, gltf, gnm, ict};
+use crate::{Avatar, AvatarFiles, files};
 
-/// A kind of head, as in `--head KIND:PATH`.
-pub struct HeadKind {
-    /// Its name, e.g. `flame`.
-    pub name: &'static str,
-    /// What comes after the colon, e.g. `FILE`; empty for a kind without files.
-    pub path: &'static str,
-    /// Title in the help.
-    pub about: &'static str,
-    /// Files beside the one that is named, of which those that exist are read too.
-    companions: &'static [&'static str],
-    /// Reads the model; the seed matters to heads that are made from one.
-    load: fn(&Path, u64) -> Result<HeadModel, AvatarError>,
+/// A head to read or make: a head model, as [`ModelSource`] reads it, or `avatar:DIR`, a trained avatar with Gaussians of its own.
+#[derive(Clone, PartialEq, Eq)]
+pub enum HeadSource {
+    /// A head model, dressed by a seed.
+    Model(ModelSource),
+    /// `DIR`, the files of an avatar, or `DIR@HEAD` with its head model.
+    Avatar(PathBuf),
 }
 
-/// The kinds of head. The first two are the built-in head and ICT-FaceKit.
-pub static HEAD_KINDS: [HeadKind; 8] = [
-    HeadKind {
-        name: "builtin",
-        path: "",
-        about: "a head sculpted by code from a seed",
-        companions: &[],
-        load: |_, seed| Ok(HeadModel::builtin(seed)),
-    },
-    HeadKind {
-        name: "ict",
-        path: "DIR",
-        about: "ICT-FaceKit's FaceXModel folder",
-        companions: &[],
-        load: |dir, _| ict::load(dir),
-    },
-    HeadKind {
-        name: "builtin-average",
-        path: "",
-        about: "the average built-in head, whose identity basis are the traits of persons",
-        companions: &[],
-        load: |_, _| Ok(HeadModel::builtin_average()),
-    },
-    HeadKind {
-        name: "flame",
-        path: "FILE",
-        about: "FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth",
-        companions: &flame::COMPANIONS,
-        load: |file, _| flame::load(file, true),
-    },
-    HeadKind {
-        name: "flame-toothless",
-        path: "FILE",
-        about: "FLAME as published",
-        companions: &flame::COMPANIONS,
-        load: |file, _| flame::load(file, false),
-    },
-    HeadKind {
-        name: "gnm",
-        path: "FILE",
-        about: "GNM Head 3 (gnm_head.npz)",
-        companions: &gnm::COMPANIONS,
-        load: |file, _| gnm::load(file),
-    },
-    HeadKind {
-        name: "gltf",
-        path: "FILE",
-        about: "any rigged head as .glb or .gltf",
-        companions: &gltf::COMPANIONS,
-        load: |file, _| gltf::load(file),
-    },
-    HeadKind {
-        name: AVATAR,
-        path: "DIR",
-        about: "a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model",
-        companions: &[],
-        load: |dir, _| Ok(AvatarPath::parse(dir).open()?.1),
-    },
-];
-
-/// The kind of the files of an avatar, which have Gaussians of their own.
+/// The kind of [`HeadSource::Avatar`].
 const AVATAR: &str = "avatar";
-
-/// A head to read or make: `builtin`, or a kind and a path, as `flame:FILE`. [`HEAD_KINDS`] lists the kinds.
-#[derive(Clone)]
-pub struct HeadSource {
-    kind: &'static HeadKind,
-    path: PathBuf,
-}
 
 impl HeadSource {
     /// The built-in head.
     pub fn builtin() -> Self {
-        Self { kind: &HEAD_KINDS[0], path: PathBuf::new() }
-    }
-
-    /// ICT-FaceKit in this folder.
-    pub fn ict(dir: &Path) -> Self {
-        Self { kind: &HEAD_KINDS[1], path: dir.to_owned() }
+        Self::Model(ModelSource::builtin())
     }
 
     /// Name of the kind.
     pub fn kind(&self) -> &'static str {
-        self.kind.name
+        match self {
+            Self::Model(model) => model.kind(),
+            Self::Avatar(_) => AVATAR,
+        }
     }
 
     /// A source of the kind with this name whose path is not known; `None` for an unknown kind.
     pub fn of_kind(name: &str) -> Option<Self> {
-        let kind = HEAD_KINDS.iter().find(|kind| kind.name == name)?;
-        Some(Self { kind, path: PathBuf::new() })
+        match name {
+            AVATAR => Some(Self::Avatar(PathBuf::new())),
+            name => ModelSource::of_kind(name).map(Self::Model),
+        }
     }
 
     /// Whether it is made without files.
     pub fn is_builtin(&self) -> bool {
-        self.kind.path.is_empty()
+        matches!(self, Self::Model(model) if model.is_builtin())
     }
 
     /// The file or folder; empty for the built-in head.
     pub fn path(&self) -> &Path {
-        &self.path
+        match self {
+            Self::Model(model) => model.path(),
+            Self::Avatar(path) => path,
+        }
     }
 
     /// The file and those beside it that are read, or the folder; none for the built-in head.
     pub fn paths(&self) -> Vec<PathBuf> {
-        if self.is_builtin() {
-            return Vec::new();
+        match self {
+            Self::Model(model) => model.paths(),
+            Self::Avatar(path) => AvatarPath::parse(path).paths(),
         }
-        if self.kind.name == AVATAR {
-            return AvatarPath::parse(&self.path).paths();
-        }
-        let beside = self.kind.companions.iter().map(|name| self.path.with_file_name(name));
-        std::iter::once(self.path.clone()).chain(beside.filter(|path| path.exists())).collect()
     }
 
     /// For the help of an argument: all kinds and what their paths are.
     pub fn help() -> String {
-        let kinds = HEAD_KINDS.iter().map(|kind| match kind.path {
-            "" => format!("`{}` ({})", kind.name, kind.about),
-            path => format!("`{}:{path}` ({})", kind.name, kind.about),
-        });
-        kinds.collect::<Vec<_>>().join(", ")
+        let files = "a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model";
+        format!("{}, `{AVATAR}:DIR` ({files})", ModelSource::help())
     }
 
     /// The head model. The seed determines the shape of a built-in head, and nothing of the others.
@@ -152,7 +77,10 @@ impl HeadSource {
     /// # Errors
     /// Names the file that is missing or malformed.
     pub fn model(&self, seed: u64) -> Result<HeadModel, AvatarError> {
-        (self.kind.load)(&self.path, seed)
+        match self {
+            Self::Model(model) => Ok(model.model(seed)?),
+            Self::Avatar(path) => Ok(AvatarPath::parse(path).open()?.1),
+        }
     }
 
     /// A person on this head. The seed determines shape, skin, hair and eyes, but nothing of a trained avatar.
@@ -160,31 +88,32 @@ impl HeadSource {
     /// # Errors
     /// As [`HeadSource::model`], and when the model has no landmarks or does not fit a trained avatar.
     pub fn avatar(&self, seed: u64) -> Result<Avatar, AvatarError> {
-        if self.kind.name == AVATAR {
-            let (files, model) = AvatarPath::parse(&self.path).open()?;
-            return files.on(model);
-        }
-        let model = self.model(seed)?;
+        let model = match self {
+            Self::Model(model) => model.model(seed)?,
+            Self::Avatar(path) => {
+                let (files, model) = AvatarPath::parse(path).open()?;
+                return files.on(model);
+            }
+        };
         let mut stream = Key::new(seed).stream("identity");
         // Principal components: standard normal, clamped.
         let identity: Vec<f32> =
             model.identities.iter().map(|_| stream.normal().clamp(-1.8, 1.8) * 0.8).collect();
         Avatar::of(model, &identity, seed)
     }
-}
 
-impl HeadSource {
     /// The record of the head model `model`, which this source made for `seed`, for files of its parameters.
     ///
     /// # Errors
     /// When the files of an avatar cannot be read.
     pub fn record(&self, seed: u64, model: &HeadModel) -> Result<HeadRecord, AvatarError> {
-        if self.kind.name != AVATAR {
-            return Ok(HeadRecord::new(self.to_string(), seed, model));
-        }
-        let path = AvatarPath::parse(&self.path);
-        let files = AvatarFiles::read(&path.dir)?;
-        let (head, seed) = path.head(&files)?;
+        let (head, seed) = match self {
+            Self::Model(head) => (head.clone(), seed),
+            Self::Avatar(path) => {
+                let path = AvatarPath::parse(path);
+                path.head(&AvatarFiles::read(&path.dir)?)?
+            }
+        };
         Ok(HeadRecord::new(head.to_string(), seed, model))
     }
 }
@@ -215,17 +144,17 @@ impl AvatarPath {
     }
 
     /// The given head model, or the one that the files name; and the seed of its shape.
-    fn head(&self, files: &AvatarFiles) -> Result<(HeadSource, u64), AvatarError> {
+    fn head(&self, files: &AvatarFiles) -> Result<(ModelSource, u64), AvatarError> {
         let named = |reason| AvatarError::HeadName { dir: files.dir.clone(), reason };
         let head = match (&self.on, &files.head) {
             (Some(on), _) => on.clone(),
             (None, Some(record)) => record.head.parse().map_err(named)?,
             (None, None) => return Err(AvatarError::NoHeadName(files.dir.clone())),
         };
-        if head.kind.name == AVATAR {
-            return Err(named(format!("`{head}`: an avatar is no head model")));
+        match head {
+            HeadSource::Model(model) => Ok((model, files.head.as_ref().map_or(0, |record| record.subject))),
+            HeadSource::Avatar(_) => Err(named(format!("`{head}`: an avatar is no head model"))),
         }
-        Ok((head, files.head.as_ref().map_or(0, |record| record.subject)))
     }
 
     fn paths(&self) -> Vec<PathBuf> {
@@ -236,14 +165,6 @@ impl AvatarPath {
     }
 }
 
-impl PartialEq for HeadSource {
-    fn eq(&self, other: &Self) -> bool {
-        self.kind.name == other.kind.name && self.path == other.path
-    }
-}
-
-impl Eq for HeadSource {}
-
 impl fmt::Debug for HeadSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "HeadSource({self})")
@@ -252,8 +173,10 @@ impl fmt::Debug for HeadSource {
 
 impl fmt::Display for HeadSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.kind.name)?;
-        if self.is_builtin() { Ok(()) } else { write!(f, ":{}", self.path.display()) }
+        match self {
+            Self::Model(model) => model.fmt(f),
+            Self::Avatar(path) => write!(f, "{AVATAR}:{}", path.display()),
+        }
     }
 }
 
@@ -261,18 +184,9 @@ impl FromStr for HeadSource {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (name, path) = text.split_once(':').unwrap_or((text, ""));
-        let known =
-            HEAD_KINDS.iter().find(|kind| kind.name == name && kind.path.is_empty() != text.contains(':'));
-        match known {
-            Some(kind) if kind.path.is_empty() == path.is_empty() => Ok(Self { kind, path: path.into() }),
-            _ => {
-                let forms = HEAD_KINDS.iter().map(|kind| match kind.path {
-                    "" => format!("`{}`", kind.name),
-                    path => format!("`{}:{path}`", kind.name),
-                });
-                Err(format!("`{text}`: expected {}", forms.collect::<Vec<_>>().join(", ")))
-            }
+        match text.split_once(':') {
+            Some((AVATAR, path)) if !path.is_empty() => Ok(Self::Avatar(path.into())),
+            _ => text.parse().map(Self::Model).map_err(|error| format!("{error}, `{AVATAR}:DIR`")),
         }
     }
 }
@@ -284,19 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_heads_are_read_and_written() {
-        for text in [
-            "builtin",
-            "ict:/a:b",
-            "flame:generic_model.pkl",
-            "flame-toothless:a.npz",
-            "gnm:a.npz",
-            "gltf:a.glb",
-        ] {
-            let source: HeadSource = text.parse().unwrap();
-            assert_eq!(source.to_string(), text);
-            assert_eq!(source.is_builtin(), text == "builtin");
-        }
+    fn paths_of_avatars_are_read_and_written() {
         for (text, dir, on) in [
             ("avatar:/a@b", "/a@b", None),
             ("avatar:/a@b@builtin", "/a@b", Some("builtin")),
@@ -310,11 +212,9 @@ mod tests {
                 (Path::new(dir), on)
             );
         }
-        for text in ["flame", "ict:", "builtin:", "builtin:a", "other:a", ""] {
+        for text in ["avatar", "avatar:"] {
             let error = text.parse::<HeadSource>().unwrap_err();
-            assert!(error.contains("`builtin`, `ict:DIR`, `builtin-average`, `flame:FILE`"), "{error}");
+            assert!(error.contains("`builtin`, `ict:DIR`, ") && error.ends_with(", `avatar:DIR`"), "{error}");
         }
-        let names: std::collections::BTreeSet<&str> = HEAD_KINDS.iter().map(|kind| kind.name).collect();
-        assert_eq!(names.len(), HEAD_KINDS.len());
     }
 }

@@ -5,10 +5,8 @@ use std::sync::LazyLock;
 
 use glam::{DMat4, DVec3, Quat, Vec3};
 use srflow_avatar::capture::HeadRecord;
-use srflow_avatar::{
-    Avatar, AvatarError, AvatarFiles, HeadModel, HeadParameters, HeadPose, HeadSource, JointRole,
-    PoseParameters, PosedHead, Region, Side,
-};
+use srflow_avatar::{Avatar, AvatarError, AvatarFiles, HeadSource, PosedHead};
+use srflow_head::{HeadError, HeadModel, HeadParameters, HeadPose, JointRole, PoseParameters, Region, Side};
 use srflow_splat::{Camera, Frame, Gaussians, Options, Rasterizer, write_bound_ply};
 
 fn ict_folder() -> Option<PathBuf> {
@@ -20,11 +18,15 @@ fn ict_folder() -> Option<PathBuf> {
     None
 }
 
+fn ict_avatar(folder: &Path, seed: u64) -> Result<Avatar, AvatarError> {
+    format!("ict:{}", folder.display()).parse::<HeadSource>().expect("a head").avatar(seed)
+}
+
 /// Two built-in people and one of ICT-FaceKit's, shared by the tests: building takes longer than testing.
 static FIRST: LazyLock<Avatar> = LazyLock::new(|| Avatar::builtin(1).expect("an avatar"));
 static SECOND: LazyLock<Avatar> = LazyLock::new(|| Avatar::builtin(8).expect("an avatar"));
 static ICT: LazyLock<Option<Avatar>> =
-    LazyLock::new(|| ict_folder().map(|folder| Avatar::ict(&folder, 2).expect("an avatar")));
+    LazyLock::new(|| ict_folder().map(|folder| ict_avatar(&folder, 2).expect("an avatar")));
 
 fn gaussians(avatar: &Avatar, pose: &HeadPose) -> (Gaussians, PosedHead) {
     let (mut head, mut out) = (PosedHead::default(), Gaussians::default());
@@ -169,7 +171,7 @@ fn eyeballs_turn_and_carry_their_irises() {
 }
 
 fn ict_error(folder: &Path) -> String {
-    match Avatar::ict(folder, 1) {
+    match ict_avatar(folder, 1) {
         Ok(_) => panic!("{} makes an avatar", folder.display()),
         Err(error) => error.to_string(),
     }
@@ -191,8 +193,11 @@ fn ict_folders_that_are_not_name_the_file() {
     std::fs::remove_file(&neutral).expect("removed");
     copy("generic_neutral_mesh.obj");
     std::fs::write(folder.path().join("jawOpen.obj"), "v 0 0 0\n").expect("written");
-    let error = Avatar::ict(folder.path(), 1).expect_err("a shape of one vertex");
-    assert!(matches!(error, AvatarError::VertexCount { found: 1, expected: 26_719, .. }), "{error}");
+    let error = ict_avatar(folder.path(), 1).expect_err("a shape of one vertex");
+    assert!(
+        matches!(error, AvatarError::Head(HeadError::VertexCount { found: 1, expected: 26_719, .. })),
+        "{error}"
+    );
     assert!(
         error.to_string().contains("jawOpen.obj") && error.to_string().contains("generic_neutral_mesh.obj")
     );

@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 
 use glam::{DMat4, DQuat, DVec3};
 use srflow_avatar::fit::{Fit, FitError, FitOptions, LandmarkView, fit};
-use srflow_avatar::{HeadModel, HeadPoints, HeadState};
+use srflow_head::{HeadModel, HeadPoints, HeadState};
 use synthetic::{Capture, capture, errors};
 
 static MODEL: LazyLock<HeadModel> = LazyLock::new(HeadModel::builtin_average);

@@ -1,7 +1,8 @@
 //! From a picture back to the pose of a head, through the rasterizer, the binding and the head model.
 
 use glam::{DMat3, DVec3, Quat, Vec3, Vec4};
-use srflow_avatar::{Avatar, BoundGradients, HeadPose, PosedHead};
+use srflow_avatar::{Avatar, BoundGradients, PosedHead};
+use srflow_head::HeadPose;
 use srflow_splat::{
     Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Options, Outputs, Rasterizer,
 };

@@ -8,9 +8,10 @@ use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, HeadRecord, wri
 use srflow_avatar::train::{
     DensityControl, Scorer, SplitScore, StepReport, Strategy, TrainConfig, TrainError, Trainer, ViewScore,
 };
-use srflow_avatar::{Avatar, AvatarFiles, HeadModel, HeadParameters, HeadPose, PoseParameters, PosedHead};
+use srflow_avatar::{Avatar, AvatarFiles, PosedHead};
 use srflow_core::Image;
 use srflow_files::write_image_png;
+use srflow_head::{HeadModel, HeadParameters, HeadPose, PoseParameters};
 use srflow_splat::{Camera, Frame, Gaussians, Options, Outputs, Rasterizer};
 
 const SIZE: (usize, usize) = (96, 128);

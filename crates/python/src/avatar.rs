@@ -7,7 +7,8 @@ use glam::{Quat, Vec3};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use srflow_avatar::{HeadPose, HeadSource, JointRole, PosedHead, Side};
+use srflow_avatar::{HeadSource, PosedHead};
+use srflow_head::{HeadPose, JointRole, Side};
 
 use crate::arrays;
 use crate::compute::compute;

@@ -1,7 +1,7 @@
 //! Action units: those of each class of emotion, and their names in records.
 
-use srflow_avatar::Side;
 use srflow_data::micro_expression::EmotionClass;
+use srflow_head::Side;
 
 /// Typical action units of each class (those coded in CASME II and SAMM).
 pub(crate) fn action_unit_sets(class: EmotionClass) -> &'static [&'static [u8]] {
@@ -25,8 +25,8 @@ pub(crate) fn unit_name(number: u8, side: Side) -> String {
 
 #[cfg(test)]
 mod tests {
-    use srflow_avatar::{HeadModel, MicroExpression};
     use srflow_core::random::Key;
+    use srflow_head::{HeadModel, MicroExpression};
 
     use super::*;
 

@@ -2,11 +2,11 @@ use std::io;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use srflow_avatar::HeadModelError;
 use srflow_core::SettingError;
 use srflow_data::manifest::ManifestError;
 use srflow_data::micro_expression::MicroExpressionError;
 use srflow_files::FileError;
+use srflow_head::HeadModelError;
 use srflow_splat::RasterizeError;
 
 /// Checks a `size` against the shortest and the longest side, in pixels.

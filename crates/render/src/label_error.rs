@@ -6,8 +6,9 @@
 
 use serde::Serialize;
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView};
-use srflow_avatar::{Avatar, HeadPose, PosedHead};
+use srflow_avatar::{Avatar, PosedHead};
 use srflow_data::region_map::HeadPart;
+use srflow_head::HeadPose;
 use srflow_splat::{Camera, DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, RasterizeError};
 
 use crate::RenderError;

@@ -3,8 +3,8 @@
 use glam::{DVec3, Vec3};
 use serde::Serialize;
 use srflow_avatar::capture::Capture;
-use srflow_avatar::{HeadModel, HeadPose, ShapedHead, TriangleFrame};
 use srflow_data::region_map::HeadPart;
+use srflow_head::{HeadModel, HeadPose, ShapedHead, TriangleFrame};
 
 use crate::capture::TrueCapture;
 use crate::parts::part_of;

@@ -1,8 +1,9 @@
 //! Recognizes the part of the head that each pixel shows: the one whose Gaussians have the largest weight in it.
 
-use srflow_avatar::{Avatar, Region};
+use srflow_avatar::Avatar;
 use srflow_core::Plane;
 use srflow_data::region_map::HeadPart;
+use srflow_head::Region;
 use srflow_splat::{Camera, DeviceRasterizer, Frame, Gaussians, Options, Outputs, RasterizeError, SH_0};
 
 /// Parts are rendered in the three channels of a colour, this many times. Skin has none: its weight is what the others leave of

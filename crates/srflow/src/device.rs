@@ -7,8 +7,9 @@ use std::time::Instant;
 
 use glam::{DMat4, DVec4, Quat, Vec3};
 use serde::{Deserialize, Serialize};
-use srflow_avatar::{Avatar, HeadPose, PosedHead};
+use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::{FlowEstimator as _, FlowField, Image, SettingError, Size};
+use srflow_head::HeadPose;
 use srflow_nets::{Architecture, NetworkEstimator, load_included, load_network};
 use srflow_ops::{DeviceError, Precision, device_kinds, precisions};
 use srflow_splat::{Camera, Device, DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs};

@@ -6,8 +6,9 @@ use std::sync::Arc;
 
 use crate::clap::Args;
 use serde::{Deserialize, Serialize};
-use srflow_avatar::{Avatar, HeadModel, HeadParameters, HeadPose, HeadSource, Motion, PoseParameters, Side};
+use srflow_avatar::{Avatar, HeadSource};
 use srflow_core::random::Key;
+use srflow_head::{HeadModel, HeadParameters, HeadPose, Motion, PoseParameters, Side};
 use srflow_render::generate::MotionSource;
 
 use crate::error::wrong_settings;

@@ -2,7 +2,8 @@
 
 use glam::Vec3;
 use serde_json::{Value, json};
-use srflow_avatar::{ActionUnit, Avatar, HeadModel, HeadPose, Joint, Offsets, PosedHead, Side, unit_name};
+use srflow_avatar::{Avatar, PosedHead};
+use srflow_head::{ActionUnit, HeadModel, HeadPose, Joint, Offsets, Side, unit_name};
 use srflow_splat::Gaussians;
 
 use crate::pack::Pack;

@@ -2,7 +2,7 @@
 //!
 //! A page is HTML with the scripts of `page/` and with packs of arrays ([`Pack`]): one that says what the page shows, and for
 //! datasets one for each pair. Gaussians are drawn by WebGL 2 as [`srflow_splat::reference`] defines, heads are posed as
-//! [`srflow_avatar::HeadModel`] does.
+//! [`srflow_head::HeadModel`] does.
 
 mod head;
 mod pack;

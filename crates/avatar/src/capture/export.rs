@@ -6,7 +6,7 @@ use glam::{DMat4, DVec3, Vec3};
 use srflow_files::{FileError, create_folder};
 
 use super::{CANONICAL_NAME, CaptureView, HeadRecord, write_transforms};
-use crate::{HeadModel, HeadParameters, PoseParameters};
+use srflow_head::{HeadModel, HeadParameters, PoseParameters};
 
 /// The folder of the head's parameters in a capture.
 pub const PARAMETERS_FOLDER: &str = "flame_param";

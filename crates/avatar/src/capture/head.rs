@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use srflow_files::{FileError, FileKind, parse_error_in_words, read_text, write_file};
 
 use super::problem;
-use crate::{HeadModel, HeadSource};
+use crate::HeadSource;
+use srflow_head::HeadModel;
 
 /// Name of the file.
 pub const HEAD_NAME: &str = "head.json";

@@ -36,7 +36,8 @@ pub use landmarks::{Face, LANDMARK_COUNT, LANDMARKS_NAME, Landmarks};
 pub use split::{CaptureSplit, FRONT_CAMERA, split_of};
 pub use write::write_transforms;
 
-use crate::{Avatar, AvatarError, HeadParameters, HeadPose};
+use crate::{Avatar, AvatarError};
+use srflow_head::{HeadParameters, HeadPose};
 
 /// The file whose presence makes GaussianAvatars read a folder as a capture of a moving head.
 pub const CANONICAL_NAME: &str = "canonical_flame_param.npz";

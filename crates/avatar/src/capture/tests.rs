@@ -7,7 +7,7 @@ use srflow_files::{NpzArray, write_image_png, write_npz};
 use srflow_splat::Camera;
 
 use super::*;
-use crate::{HeadModel, HeadParameters, HeadPose, PoseParameters};
+use srflow_head::{HeadModel, HeadParameters, HeadPose, PoseParameters};
 
 /// A camera a metre in front of the origin, `degrees` to the side, with a principal point off the centre.
 fn camera(degrees: f64) -> Camera {

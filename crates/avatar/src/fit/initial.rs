@@ -4,9 +4,8 @@ use glam::{DMat3, DMat4, DQuat, DVec2, DVec3, DVec4};
 use srflow_splat::Camera;
 
 use super::LandmarkView;
-use super::dense::largest_eigenvector;
 use crate::capture::{Face, LANDMARK_COUNT};
-use crate::{HeadPoints, HeadState};
+use srflow_head::{HeadPoints, HeadState};
 
 /// Landmarks that a pose needs.
 pub(super) const LEAST: usize = 6;
@@ -221,4 +220,58 @@ fn weak_perspective(head: &[DVec3], view: &LandmarkView) -> Option<Rigid> {
     let rotation = DQuat::from_mat3(&(world_from_camera * camera_from_head)).normalize();
     let centre = world_from_camera * (centre - camera.camera_from_world.w_axis.truncate());
     Some(Rigid { rotation, translation: centre - rotation * mean })
+}
+
+/// The eigenvector of a symmetric matrix for its largest eigenvalue, by Jacobi's rotations.
+fn largest_eigenvector(matrix: DMat4) -> DVec4 {
+    let mut a = matrix.to_cols_array_2d();
+    let mut vectors = DMat4::IDENTITY.to_cols_array_2d();
+    for _ in 0..32 {
+        for p in 0..4 {
+            for q in p + 1..4 {
+                if a[p][q] == 0.0 {
+                    continue;
+                }
+                let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+                let t = theta.signum() / (theta.abs() + libm::hypot(theta, 1.0));
+                let c = 1.0 / libm::hypot(t, 1.0);
+                let s = t * c;
+                for column in &mut a {
+                    (column[p], column[q]) = (c * column[p] - s * column[q], s * column[p] + c * column[q]);
+                }
+                let (row_p, row_q) = (a[p], a[q]);
+                a[p] = std::array::from_fn(|k| c * row_p[k] - s * row_q[k]);
+                a[q] = std::array::from_fn(|k| s * row_p[k] + c * row_q[k]);
+                for row in &mut vectors {
+                    (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
+                }
+            }
+        }
+    }
+    let largest = (0..4).fold(0, |best, i| if a[i][i] > a[best][best] { i } else { best });
+    DVec4::from_array(vectors.map(|row| row[largest]))
+}
+
+#[cfg(test)]
+mod tests {
+    use srflow_core::random::Key;
+
+    use super::*;
+
+    #[test]
+    fn the_eigenvector_is_stretched_most() {
+        let mut stream = Key::new(6).stream("dense");
+        for _ in 0..50 {
+            let root = DMat4::from_cols_array(&std::array::from_fn(|_| f64::from(stream.normal())));
+            let matrix = root + root.transpose();
+            let vector = largest_eigenvector(matrix);
+            let value = vector.dot(matrix * vector);
+            assert!((matrix * vector - vector * value).length() < 1e-9, "{vector}");
+            for _ in 0..20 {
+                let other =
+                    DVec4::from_array(std::array::from_fn(|_| f64::from(stream.normal()))).normalize();
+                assert!(other.dot(matrix * other) <= value + 1e-9);
+            }
+        }
+    }
 }

@@ -8,7 +8,6 @@
 //! with the identity. The result is the same for any number of threads.
 
 mod arrow;
-pub(crate) mod dense;
 mod initial;
 mod problem;
 mod report;
@@ -19,8 +18,8 @@ pub use problem::Priors;
 pub use report::{CameraFit, FitReport, Reach, ViewFit};
 
 use crate::capture::{Face, LANDMARK_COUNT};
-use crate::{HeadModel, HeadParameters, HeadState, PoseParameters};
 use problem::{Problem, Window};
+use srflow_head::{HeadModel, HeadParameters, HeadState, PoseParameters};
 
 /// One picture of a head.
 #[derive(Debug, Clone, PartialEq)]

@@ -9,7 +9,7 @@ use super::arrow::{Block, Step, System};
 use super::initial::{candidates, median};
 use super::{FitOptions, LandmarkView};
 use crate::capture::LANDMARK_COUNT;
-use crate::{HeadModel, HeadPoints, HeadState, JointRole, rotation_of_axis_angle};
+use srflow_head::{HeadModel, HeadPoints, HeadState, JointRole, rotation_of_axis_angle};
 
 /// Standard deviations of normal distributions: of parameters about rest, and of their change from one timestep to the next that
 /// has a picture (`*_change`).

@@ -3,11 +3,11 @@
 use glam::DVec3;
 use serde::Serialize;
 
-use super::dense::{inverse, product, subtract_transposed_product};
 use super::initial::median;
 use super::problem::{Problem, Window, landmarks_in};
-use crate::HeadState;
 use crate::capture::LANDMARK_COUNT;
+use srflow_head::HeadState;
+use srflow_head::dense::{inverse, product, subtract_transposed_product};
 
 /// How well a fit explains its landmarks, and what they determine.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -179,7 +179,7 @@ impl Problem<'_> {
         let slopes = row(left).into_iter().zip(row(right)).map(|(left, right)| (left - right).dot(along));
         let of_corners = deviation(slopes.collect());
 
-        let name = |shapes: &[crate::Shape], number: usize| shapes[number].name.clone();
+        let name = |shapes: &[srflow_head::Shape], number: usize| shapes[number].name.clone();
         let identity = self.options.priors.identity;
         let unknown = |joint: usize, place: usize| {
             self.joint_deviations(joint)

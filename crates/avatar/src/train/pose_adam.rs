@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use srflow_files::FileError;
 
 use super::checkpoint::{Checkpoint, Lists};
-use crate::{HeadGradient, HeadModel, JointRole, PoseParameters, rotation_of_axis_angle};
+use srflow_head::{HeadGradient, HeadModel, JointRole, PoseParameters, rotation_of_axis_angle};
 
 /// How far one step moves a pose. The defaults are those of GaussianAvatars (`flame_expr_lr`, `flame_pose_lr`, `flame_trans_lr` in
 /// `arguments/__init__.py`).

@@ -10,7 +10,8 @@ use super::image_loss::{ImageLoss, ImageLossError};
 use super::trainer::picture;
 use super::{TrainConfig, TrainError};
 use crate::capture::{Capture, CaptureSplit, CaptureView};
-use crate::{Avatar, HeadPose, PosedHead};
+use crate::{Avatar, PosedHead};
+use srflow_head::HeadPose;
 
 /// Scores of one picture, or their means.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]

@@ -18,10 +18,8 @@ use super::{
     initial_gaussians,
 };
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
-use crate::{
-    Avatar, AvatarError, BoundGradients, HeadGradient, HeadModel, HeadParameters, HeadPose, PoseParameters,
-    PosedHead, TriangleFrame,
-};
+use crate::{Avatar, AvatarError, BoundGradients, PosedHead};
+use srflow_head::{HeadGradient, HeadModel, HeadParameters, HeadPose, PoseParameters, TriangleFrame};
 
 /// Why an avatar could not be trained or scored.
 #[derive(Debug, thiserror::Error)]

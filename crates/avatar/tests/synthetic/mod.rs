@@ -2,8 +2,8 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use srflow_avatar::fit::LandmarkView;
-use srflow_avatar::{HeadModel, HeadPoints, HeadState, Motion, Region};
 use srflow_core::random::Key;
+use srflow_head::{HeadModel, HeadPoints, HeadState, Motion, Region};
 use srflow_splat::Camera;
 
 #[derive(Debug, Clone, Copy)]

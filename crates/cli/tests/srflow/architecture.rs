@@ -15,6 +15,7 @@ const PIPELINE: [&str; 23] = [
     "srflow-core",
     "srflow-files",
     "srflow-splat",
+    "srflow-head",
     "srflow-avatar",
     "srflow-fetch",
     "srflow-pack",
@@ -95,7 +96,7 @@ fn readers_do_not_depend_on_the_renderer() {
                 }
             }
         }
-        for renderer in ["srflow-splat", "srflow-avatar", "srflow-render"] {
+        for renderer in ["srflow-splat", "srflow-head", "srflow-avatar", "srflow-render"] {
             assert!(
                 !reached.contains(&renderer),
                 "{name} must not depend on {renderer}; it reaches {reached:?}"

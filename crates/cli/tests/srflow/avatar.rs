@@ -8,7 +8,7 @@ use serde_json::Value;
 use crate::{json, refuses, srflow, succeeds};
 
 fn flame(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../avatar/tests/data/flame").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../head/tests/data/flame").join(name)
 }
 
 /// Positions and triangles of an OBJ file.

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 use std::sync::OnceLock;
 
+use srflow_avatar::Avatar;
 use srflow_avatar::capture::{Capture, HeadRecord};
-use srflow_avatar::{Avatar, HeadParameters};
 use srflow_files::read_image;
+use srflow_head::HeadParameters;
 
 use crate::{fails, json, refuses, succeeds};
 

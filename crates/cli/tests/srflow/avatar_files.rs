@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 use std::sync::OnceLock;
 
+use srflow_avatar::Avatar;
 use srflow_avatar::capture::HeadRecord;
-use srflow_avatar::{Avatar, HeadParameters, Moment, Motion, PoseParameters};
 use srflow_core::random::Key;
 use srflow_files::{read_flow, read_mask, read_npy};
+use srflow_head::{HeadParameters, Moment, Motion, PoseParameters};
 
 use crate::{json, refuses, succeeds};
 

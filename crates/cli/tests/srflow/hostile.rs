@@ -14,11 +14,12 @@ use std::time::{Duration, Instant};
 
 use glam::DMat4;
 use safetensors::tensor::{Dtype, TensorView};
+use srflow_avatar::HeadSource;
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, HeadRecord, write_transforms};
 use srflow_avatar::train::{RunRecord, RunRequest, TrainConfig};
-use srflow_avatar::{HeadModel, HeadParameters, HeadSource, PoseParameters};
 use srflow_core::{FlowField, Image, Labels, is_unprintable};
 use srflow_files::{FlowFormat, RunMode, write_flow, write_flow_as, write_image_png, write_labels_png};
+use srflow_head::{HeadModel, HeadParameters, PoseParameters};
 use srflow_splat::{Camera, Gaussians, write_bound_ply, write_gaussians, write_ply};
 use zip::write::SimpleFileOptions;
 
@@ -396,7 +397,7 @@ fn tracked(folder: &Path) -> (String, String) {
 
 /// The files of a FLAME head, and parameters for one.
 fn heads(folder: &Path) -> Vec<Sample> {
-    let data = root().join("crates/avatar/tests/data/flame");
+    let data = root().join("crates/head/tests/data/flame");
     fs::copy(data.join("arrays.npz"), folder.join("flame.npz")).unwrap();
     let model = &["avatar", "mesh", "--model", "flame-toothless:FILE", "-o", "DIR/out.obj", "--force"];
     let beside =
@@ -438,7 +439,7 @@ fn heads(folder: &Path) -> Vec<Sample> {
         file: "head_template_mesh.obj",
         arguments: beside,
     });
-    let data = root().join("crates/avatar/tests/data/gnm");
+    let data = root().join("crates/head/tests/data/gnm");
     fs::copy(data.join("gnm_head.npz"), folder.join("gnm.npz")).unwrap();
     let gnm = &["avatar", "mesh", "--model", "gnm:FILE", "-o", "DIR/out.obj", "--force"];
     let bytes = fs::read(data.join("gnm_head.npz")).unwrap();
@@ -462,7 +463,7 @@ fn heads(folder: &Path) -> Vec<Sample> {
     let text = GLTF.replace("ZEROS", &"A".repeat(340));
     samples.push(Sample { name: "gltf", bytes: text.into(), file: "a.gltf", arguments: gltf });
     let corners = [[0.0; 3].into(), [1.0, 0.0, 0.0].into(), [0.0, 1.0, 0.0].into()];
-    srflow_avatar::write_mesh(&folder.join("a.glb"), &corners, &[[0, 1, 2]], None).unwrap();
+    srflow_head::write_mesh(&folder.join("a.glb"), &corners, &[[0, 1, 2]], None).unwrap();
     let bytes = fs::read(folder.join("a.glb")).unwrap();
     samples.push(Sample { name: "glb", bytes, file: "b.glb", arguments: gltf });
     samples

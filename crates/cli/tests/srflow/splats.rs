@@ -6,8 +6,8 @@ use std::process::Output;
 
 use glam::Vec3;
 use serde_json::Value;
-use srflow_avatar::{HeadModel, Side};
 use srflow_files::read_image;
+use srflow_head::{HeadModel, Side};
 use srflow_splat::{Gaussians, read_gaussians, write_ply};
 
 use crate::{json, refuses, srflow, succeeds};

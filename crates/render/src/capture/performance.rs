@@ -2,8 +2,9 @@
 
 use glam::{EulerRot, Quat, Vec3};
 use srflow_avatar::capture::HeadRecord;
-use srflow_avatar::{Avatar, AvatarError, Motion, PoseParameters};
+use srflow_avatar::{Avatar, AvatarError};
 use srflow_core::random::Key;
+use srflow_head::{Motion, PoseParameters};
 use srflow_splat::Camera;
 
 use super::CaptureSettings;

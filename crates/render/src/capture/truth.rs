@@ -4,8 +4,9 @@ use std::path::Path;
 
 use serde::Deserialize;
 use srflow_avatar::capture::{Capture, HeadRecord};
-use srflow_avatar::{Avatar, HeadPose, HeadSource, PosedHead};
+use srflow_avatar::{Avatar, HeadSource, PosedHead};
 use srflow_files::{FileKind, FileProblem, parse_error_in_words, read_text};
+use srflow_head::HeadPose;
 use srflow_splat::{Frame, Gaussians, Options, Outputs, Rasterizer};
 
 use super::settings::MANIFEST_NAME;

@@ -4,12 +4,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
+use srflow_avatar::PosedHead;
 use srflow_avatar::capture::{
     CANONICAL_NAME, CaptureSplit, HEAD_NAME, LANDMARKS_NAME, PARAMETERS_FOLDER, parameters_name,
 };
-use srflow_avatar::{HeadParameters, PosedHead};
 use srflow_core::random::Key;
 use srflow_files::write_image_png;
+use srflow_head::HeadParameters;
 use srflow_splat::{Frame, Gaussians, Options, Outputs, Rasterizer};
 
 use super::performance::Performance;

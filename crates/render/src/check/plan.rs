@@ -5,8 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use srflow_avatar::HeadModel;
 use srflow_data::manifest::{MANIFEST_NAME, Manifest, RigCamera, SceneEntry, SceneSplit};
+use srflow_head::HeadModel;
 
 use super::problem::Problem;
 use crate::camera::{camera_from_record, record_from_camera};

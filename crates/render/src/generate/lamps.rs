@@ -111,7 +111,7 @@ fn normals(avatar: &Avatar, head: &PosedHead) -> Vec<Vec3> {
 
 #[cfg(test)]
 mod tests {
-    use srflow_avatar::HeadPose;
+    use srflow_head::HeadPose;
 
     use super::*;
 

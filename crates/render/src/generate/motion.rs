@@ -4,8 +4,9 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use srflow_avatar::Avatar;
 use srflow_avatar::capture::Capture;
-use srflow_avatar::{Avatar, HeadParameters, PoseParameters};
+use srflow_head::{HeadParameters, PoseParameters};
 
 use crate::RenderError;
 use crate::error::require;

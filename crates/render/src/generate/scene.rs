@@ -3,11 +3,10 @@
 use std::sync::Arc;
 
 use glam::{EulerRot, Quat, Vec3};
-use srflow_avatar::{
-    Avatar, Avatars, HeadModel, HeadPose, HeadSource, MicroExpression, Moment, Motion, PoseParameters,
-};
+use srflow_avatar::{Avatar, Avatars, HeadSource};
 use srflow_core::Image;
 use srflow_core::random::{Key, Stream};
+use srflow_head::{HeadModel, HeadPose, MicroExpression, Moment, Motion, PoseParameters};
 use srflow_splat::Camera;
 
 use super::background;

@@ -1,8 +1,9 @@
 //! One clip: a head with a micro-expression and a slight drift, in front of a static camera.
 
 use glam::{DVec3, EulerRot, Quat, Vec3};
-use srflow_avatar::{Avatar, HeadModelError, HeadPose, MicroExpression, PosedHead};
+use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::{Key, Stream};
+use srflow_head::{HeadModelError, HeadPose, MicroExpression};
 use srflow_splat::{Camera, Gaussians};
 
 use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};

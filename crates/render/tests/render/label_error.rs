@@ -4,9 +4,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
+use srflow_avatar::Avatar;
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, HeadRecord, write_tracked};
-use srflow_avatar::{Avatar, HeadModel, HeadPose};
 use srflow_data::region_map::HeadPart;
+use srflow_head::{HeadModel, HeadPose};
 use srflow_render::capture::{CaptureSettings, TrueCapture, capture};
 use srflow_render::job::Request;
 use srflow_render::label_error::{

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
-use srflow_avatar::{HeadPose, MeshMotion, PosedHead, add_mesh};
+use srflow_avatar::PosedHead;
 use srflow_core::Size;
+use srflow_head::{HeadPose, MeshMotion, add_mesh};
 use srflow_splat::gltf::GltfBuilder;
 use srflow_splat::{Gaussians, NamedCamera, SplatFormat, Up, read_cameras, write_gaussians};
 

@@ -6,11 +6,12 @@ use std::str::FromStr;
 
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
+use srflow_avatar::HeadSource;
 use srflow_avatar::capture::{Capture, CaptureView, HeadRecord, LANDMARKS_NAME, Landmarks, write_tracked};
 use srflow_avatar::fit::{FitOptions, FitReport, FitStage, LandmarkView, Reach, fit};
-use srflow_avatar::{HeadPose, HeadSource};
 use srflow_core::{SettingError, excerpts};
 use srflow_files::{create_folder, write_file};
+use srflow_head::HeadPose;
 use srflow_render::capture::TrueCapture;
 use srflow_render::mesh_error::{MeshError, mesh_error};
 

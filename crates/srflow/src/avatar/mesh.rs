@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
-use srflow_avatar::{HeadParameters, HeadPose, HeadSource, MeshFormat, write_mesh};
+use srflow_avatar::HeadSource;
+use srflow_head::{HeadParameters, HeadPose, MeshFormat, write_mesh};
 
 use crate::clap::Args;
 use crate::error::wrong_settings;

@@ -2,9 +2,10 @@
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use srflow_avatar::{Avatar, HeadPose, PosedHead, Side, unit_name};
+use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::{Image, flow_colors};
 use srflow_eval::report::{ActionCard, Picture, flow_scale, shrink_flow, shrink_image};
+use srflow_head::{HeadPose, Side, unit_name};
 use srflow_render::generate::{Rig, View};
 use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer};
 

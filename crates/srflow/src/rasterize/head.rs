@@ -1,7 +1,8 @@
 //! Settings of a head avatar instead of a file of Gaussians, in this frame and the next.
 
 use serde::{Deserialize, Serialize};
-use srflow_avatar::{HeadPose, PosedHead};
+use srflow_avatar::PosedHead;
+use srflow_head::HeadPose;
 use srflow_splat::Gaussians;
 
 use crate::clap::Args;

@@ -28,8 +28,8 @@ pub use records::{IterationsRecord, LogRecord, RunRecord, RunScores, ScoredSplit
 use records::{RUN_NAME, Window, loss};
 
 use super::{SplitScore, StepReport, TrainConfig, TrainError, Trainer, ViewScore};
-use crate::HeadModel;
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
+use srflow_head::HeadModel;
 
 const CHECKPOINT_NAME: &str = "checkpoint.npz";
 const PREVIEW_NAME: &str = "preview.png";

@@ -9,16 +9,17 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, anyhow};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
+use srflow_avatar::HeadSource;
 use srflow_avatar::capture::{Capture, CaptureSplit, HEAD_NAME, HeadRecord};
 use srflow_avatar::train::{
     IterationsRecord, LogRecord, PRESETS, RunEvent, RunOutcome, RunRecord, RunRequest, ScoresRecord,
     SplitScore, StepReport, TrainConfig, Trainer, read_run, run,
 };
-use srflow_avatar::{HeadModel, HeadSource};
 use srflow_core::SettingError;
 use srflow_files::{
     Preset, RunMode, SettingsError, read_run_log, read_settings, settings_text, with_setting, write_file,
 };
+use srflow_head::HeadModel;
 
 use super::scores::{split_table, split_words};
 use crate::clap::Args;

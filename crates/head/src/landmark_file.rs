@@ -6,7 +6,7 @@ use glam::Vec3;
 use srflow_core::excerpt;
 use srflow_files::{FileKind, FileProblem, read_text};
 
-use crate::avatar::AvatarError;
+use crate::HeadError;
 use crate::dress::nearest_weights;
 
 /// Three vertices and their weights.
@@ -16,13 +16,13 @@ pub(crate) type Row = ([u32; 3], Vec3);
 ///
 /// # Errors
 /// Names the line that is malformed.
-pub(crate) fn read_rows(path: &Path, vertices: usize) -> Result<Vec<Row>, AvatarError> {
+pub(crate) fn read_rows(path: &Path, vertices: usize) -> Result<Vec<Row>, HeadError> {
     let text = read_text(path, FileKind::Table)?;
     let mut rows = Vec::new();
     for (line, number) in text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty()) {
         let problem = || {
             let problem = format!("expected three vertices and their weights, found `{}`", excerpt(line));
-            AvatarError::Malformed { path: PathBuf::from(path), line: number, problem }
+            HeadError::Malformed { path: PathBuf::from(path), line: number, problem }
         };
         rows.push(row(line, vertices).ok_or_else(problem)?);
     }

@@ -15,24 +15,41 @@ mod specks;
 mod strand;
 mod surface;
 
-use glam::Vec3;
+use glam::{Quat, Vec3};
 use srflow_core::random::{Key, Stream};
 
-use crate::binding::{BoundGaussians, Splat};
-use crate::{HeadModel, Region, ShapedHead};
+use crate::{HeadError, HeadModel, Region, ShapedHead};
 use appearance::Appearance;
 use light::Exposure;
 use surface::{Surface, SurfacePoint};
 
-/// Dresses the head of `shaped` as the person of `seed`. The model must be valid and have 68 landmarks.
-pub(crate) fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64) -> BoundGaussians {
+/// One Gaussian in world units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Splat {
+    pub position: Vec3,
+    pub scale: Vec3,
+    pub rotation: Quat,
+    pub opacity: f32,
+    /// sRGB, `0..=1`.
+    pub color: Vec3,
+}
+
+/// The Gaussians that dress the head of `shaped` as the person of `seed`, each with the number of the triangle that carries it. The model
+/// must be valid.
+///
+/// # Errors
+/// [`HeadError::Landmarks`] when the model does not have 68 landmarks.
+pub fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64) -> Result<Vec<(u32, Splat)>, HeadError> {
+    if model.landmarks.len() < 68 {
+        return Err(HeadError::Landmarks { model: model.name.clone(), found: model.landmarks.len() });
+    }
     let surface = Surface::new(model, shaped);
     let mut dressing = Dressing {
         surface: &surface,
         appearance: Appearance::of(seed),
         exposures: light::bake(&surface),
         seed,
-        bound: BoundGaussians::default(),
+        splats: Vec::new(),
     };
     skin::dress_skin(&mut dressing);
     eyes::dress_eyes(&mut dressing);
@@ -40,7 +57,7 @@ pub(crate) fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64) -> BoundG
     brows::dress_brows(&mut dressing);
     lashes::dress_lashes(&mut dressing);
     hair::dress_hair(&mut dressing);
-    dressing.bound
+    Ok(dressing.splats)
 }
 
 /// A head while it is being dressed.
@@ -49,7 +66,7 @@ struct Dressing<'a> {
     appearance: Appearance,
     exposures: Vec<Exposure>,
     seed: u64,
-    bound: BoundGaussians,
+    splats: Vec<(u32, Splat)>,
 }
 
 impl Dressing<'_> {
@@ -62,7 +79,7 @@ impl Dressing<'_> {
     }
 
     fn add(&mut self, triangle: u32, splat: Splat) {
-        self.bound.bind(triangle, &self.surface.frames[triangle as usize], &splat);
+        self.splats.push((triangle, splat));
     }
 }
 

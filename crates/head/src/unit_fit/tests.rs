@@ -4,7 +4,7 @@ use super::surface::{Nearest, Surface};
 use super::warp::Warp;
 use super::*;
 use crate::dress::nearest_weights;
-use crate::{HeadSource, Offsets, Shape};
+use crate::{Offsets, Shape, ict};
 
 /// Displacement of each vertex by each expression.
 fn dense_offsets(model: &HeadModel) -> Vec<Vec<Vec3>> {
@@ -186,7 +186,7 @@ fn units_are_found_in_ict_facekit() {
         eprintln!("skipped: shared-data: no ICT-FaceKit at {}", folder.display());
         return;
     }
-    let own = HeadSource::ict(folder).model(1).unwrap();
+    let own = ict::load(folder).unwrap();
     let carried = Carried::onto(&own).unwrap();
     let shaped = own.shaped(&[]);
     let moved = |model: &HeadModel, unit: &CarriedUnit| -> Option<Vec<DVec3>> {

@@ -209,7 +209,7 @@ fn tear_lines(dressing: &mut Dressing, stream: &mut Stream) {
             let along =
                 super::catmull_rom(&curve, (t + 0.02).min(1.0)) - super::catmull_rom(&curve, t - 0.02);
             let glint = 0.5 + 0.5 * libm::sinf(t * TAU * 1.5 + stream.unit());
-            let splat = crate::binding::Splat {
+            let splat = super::Splat {
                 position,
                 scale: Vec3::new(0.42, 0.11, 0.11) * (MM * size),
                 rotation: super::surface::rotation_along(along, Vec3::Z),

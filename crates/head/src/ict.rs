@@ -13,8 +13,8 @@ use rayon::prelude::*;
 use serde::Deserialize;
 use srflow_files::{FileKind, parse_error_in_words, read_file};
 
+use crate::HeadError;
 use crate::arkit::{ACTION_UNITS, action_units};
-use crate::avatar::AvatarError;
 use crate::obj::{Obj, read_obj, read_obj_positions};
 use crate::regions::RegionMap;
 use crate::unit_table::{UNITS_NAME, read_units};
@@ -48,12 +48,12 @@ struct VertexIndices {
 ///
 /// # Errors
 /// Names the file that is missing, malformed, or does not have the published topology.
-pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
+pub(crate) fn load(dir: &Path) -> Result<HeadModel, HeadError> {
     let indices = read_indices(&dir.join("vertex_indices.json"))?;
     let neutral_path = dir.join("generic_neutral_mesh.obj");
     let neutral = read_obj(&neutral_path)?;
     if neutral.positions.len() != VERTICES {
-        return Err(AvatarError::Topology {
+        return Err(HeadError::Topology {
             path: neutral_path,
             model: "ICT-FaceKit's light model",
             expected: VERTICES,
@@ -100,10 +100,9 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
     Ok(model)
 }
 
-fn read_indices(path: &Path) -> Result<VertexIndices, AvatarError> {
-    let bytes = read_file(path, FileKind::Json).map_err(AvatarError::IctFolder)?;
-    let malformed =
-        |problem: String, line| AvatarError::Malformed { path: path.to_path_buf(), line, problem };
+fn read_indices(path: &Path) -> Result<VertexIndices, HeadError> {
+    let bytes = read_file(path, FileKind::Json).map_err(HeadError::IctFolder)?;
+    let malformed = |problem: String, line| HeadError::Malformed { path: path.to_path_buf(), line, problem };
     let indices: VertexIndices = serde_json::from_slice(&bytes)
         .map_err(|error| malformed(parse_error_in_words(&error), error.line()))?;
     let landmarks = &indices.idx_to_landmark_verts;
@@ -139,13 +138,13 @@ fn present(dir: &Path, names: impl Iterator<Item = String>) -> Vec<(String, Path
         .collect()
 }
 
-fn shapes(dir: &Path, files: Vec<(String, PathBuf)>, template: &[Vec3]) -> Result<Vec<Shape>, AvatarError> {
+fn shapes(dir: &Path, files: Vec<(String, PathBuf)>, template: &[Vec3]) -> Result<Vec<Shape>, HeadError> {
     files
         .into_par_iter()
         .map(|(name, path)| {
             let positions = read_obj_positions(&path)?;
             if positions.len() != template.len() {
-                return Err(AvatarError::VertexCount {
+                return Err(HeadError::VertexCount {
                     reference: dir.join("generic_neutral_mesh.obj"),
                     expected: template.len(),
                     path,

@@ -4,7 +4,7 @@ use glam::{Vec2, Vec3};
 use srflow_core::excerpt;
 use srflow_files::{FileKind, read_file};
 
-use crate::avatar::AvatarError;
+use crate::HeadError;
 
 /// The parts of a Wavefront OBJ file that are read: positions, polygons and texture coordinates, indices from 0.
 #[derive(Debug, Default)]
@@ -23,7 +23,7 @@ pub(crate) struct Obj {
 const LARGEST_COORDINATE: f32 = 1e6;
 
 /// Reads positions, polygons and texture coordinates; normals, groups and materials are ignored.
-pub(crate) fn read_obj(path: &Path) -> Result<Obj, AvatarError> {
+pub(crate) fn read_obj(path: &Path) -> Result<Obj, HeadError> {
     let bytes = read(path)?;
     let mut obj = Obj { positions: positions_in(path, &bytes)?, ..Obj::default() };
     obj.texture = points(path, &bytes, b"vt ", "two")?.into_iter().map(Vec2::from_array).collect();
@@ -49,19 +49,19 @@ fn part(corner: &str, at: usize) -> &str {
 }
 
 /// Reads only the positions.
-pub(crate) fn read_obj_positions(path: &Path) -> Result<Vec<Vec3>, AvatarError> {
+pub(crate) fn read_obj_positions(path: &Path) -> Result<Vec<Vec3>, HeadError> {
     positions_in(path, &read(path)?)
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, AvatarError> {
-    read_file(path, FileKind::Mesh).map_err(AvatarError::IctFolder)
+fn read(path: &Path) -> Result<Vec<u8>, HeadError> {
+    read_file(path, FileKind::Mesh).map_err(HeadError::IctFolder)
 }
 
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
     bytes.split(|&b| b == b'\n').enumerate().map(|(i, line)| (i + 1, line.trim_ascii()))
 }
 
-fn positions_in(path: &Path, bytes: &[u8]) -> Result<Vec<Vec3>, AvatarError> {
+fn positions_in(path: &Path, bytes: &[u8]) -> Result<Vec<Vec3>, HeadError> {
     Ok(points(path, bytes, b"v ", "three")?.into_iter().map(Vec3::from_array).collect())
 }
 
@@ -71,7 +71,7 @@ fn points<const N: usize>(
     bytes: &[u8],
     key: &[u8],
     in_words: &str,
-) -> Result<Vec<[f32; N]>, AvatarError> {
+) -> Result<Vec<[f32; N]>, HeadError> {
     let mut points = Vec::new();
     for (number, line) in lines(bytes) {
         let Some(rest) = line.strip_prefix(key) else { continue };
@@ -97,7 +97,7 @@ fn polygon<'a>(
     what: &str,
     corners: impl Iterator<Item = &'a str>,
     count: usize,
-) -> Result<Vec<u32>, AvatarError> {
+) -> Result<Vec<u32>, HeadError> {
     let mut polygon = Vec::with_capacity(4);
     for number in corners {
         // OBJ counts from 1, and negative numbers count from the end.
@@ -125,15 +125,15 @@ fn words(text: &[u8]) -> impl Iterator<Item = &str> {
     std::str::from_utf8(text).unwrap_or("").split_ascii_whitespace()
 }
 
-fn malformed(path: &Path, line: usize, problem: String) -> AvatarError {
-    AvatarError::Malformed { path: path.to_path_buf(), line, problem }
+fn malformed(path: &Path, line: usize, problem: String) -> HeadError {
+    HeadError::Malformed { path: path.to_path_buf(), line, problem }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn read_text(text: &str) -> Result<Obj, AvatarError> {
+    fn read_text(text: &str) -> Result<Obj, HeadError> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
         read_obj(file.path())

@@ -3,9 +3,9 @@
 use glam::Vec3;
 
 use super::Dressing;
+use super::Splat;
 use super::light::{Exposure, HAIR_LIGHTS, srgb_from_linear};
 use super::surface::rotation_along;
-use crate::binding::Splat;
 
 /// One hair, or a wisp drawn as one.
 pub(super) struct Strand<'a> {

@@ -3,10 +3,10 @@
 use glam::Vec3;
 
 use super::Dressing;
+use super::Splat;
 use super::complexion::Complexion;
 use super::skin::flat;
 use super::surface::{Buckets, SurfacePoint};
-use crate::binding::Splat;
 
 const MM: f32 = 1e-3;
 

@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use self::carry::{Carried, CarriedUnit, landmarks};
-use crate::fit::dense::{self, dot};
+use crate::dense::{self, dot};
 use crate::{ActionUnit, HeadModel, HeadPose, Side};
 
 /// Deviation of what an expression need not explain at one landmark, metres, against weights of deviation 1: components are scaled

@@ -5,8 +5,7 @@ use std::collections::HashMap;
 use glam::{IVec3, Quat, Vec3};
 use srflow_core::random::Stream;
 
-use crate::binding::TriangleFrame;
-use crate::{HeadModel, Region, ShapedHead};
+use crate::{HeadModel, Region, ShapedHead, TriangleFrame};
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SurfacePoint {

@@ -1,7 +1,7 @@
 //! Motion is smooth, starts and ends at rest, and every frame can be computed alone; micro-expressions follow the coding.
 
-use srflow_avatar::{HeadModel, MicroExpression, Motion, motion};
 use srflow_core::random::Key;
+use srflow_head::{HeadModel, MicroExpression, Motion, motion};
 
 const FRAMES_PER_SECOND: f32 = 73.0;
 
@@ -9,7 +9,7 @@ fn model() -> HeadModel {
     HeadModel::builtin(1)
 }
 
-fn is_rest(pose: &srflow_avatar::HeadPose) -> bool {
+fn is_rest(pose: &srflow_head::HeadPose) -> bool {
     pose.expressions.iter().all(|w| *w == 0.0)
         && pose.joints.iter().all(|q| q.angle_between(glam::Quat::IDENTITY) < 1e-3)
         && pose.translation == glam::Vec3::ZERO

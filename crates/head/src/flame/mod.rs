@@ -18,7 +18,7 @@ use self::source::Source;
 use self::teeth::Teeth;
 
 pub(crate) use self::teeth::FLAME_VERTICES;
-use crate::avatar::AvatarError;
+use crate::HeadError;
 use crate::obj::{Obj, read_obj};
 use crate::pickle::Pickle;
 use crate::regions::{divide_skin, mark_parts};
@@ -50,7 +50,7 @@ const JAW_STRETCH: f32 = 0.42;
 ///
 /// # Errors
 /// Names the file and the array that is missing, malformed, or of another shape.
-pub(crate) fn load(path: &Path, with_teeth: bool) -> Result<HeadModel, AvatarError> {
+pub(crate) fn load(path: &Path, with_teeth: bool) -> Result<HeadModel, HeadError> {
     let mut source = Source::open(path)?;
     let mut template = vectors(&mut source, "v_template")?;
     let count = template.len();
@@ -114,7 +114,7 @@ fn wrong_shape(path: &Path, name: &str, expected: &str, found: &[usize]) -> File
 }
 
 /// An array of shape (n, 3) as vectors.
-fn vectors(source: &mut Source, name: &str) -> Result<Vec<Vec3>, AvatarError> {
+fn vectors(source: &mut Source, name: &str) -> Result<Vec<Vec3>, HeadError> {
     let Array { shape, values } = source.array(name)?;
     match shape[..] {
         [count, 3] if count > 0 => Ok(values.as_chunks().0.iter().map(|v| Vec3::from_array(*v)).collect()),
@@ -132,7 +132,7 @@ fn indices(path: &Path, name: &str, values: &[f32], count: usize) -> Result<Vec<
     })
 }
 
-fn triangles(source: &mut Source, vertices: usize) -> Result<Vec<[u32; 3]>, AvatarError> {
+fn triangles(source: &mut Source, vertices: usize) -> Result<Vec<[u32; 3]>, HeadError> {
     let Array { shape, values } = source.array("f")?;
     if !matches!(shape[..], [_, 3]) {
         return Err(wrong_shape(source.path(), "f", "(triangles, 3)", &shape).into());
@@ -141,7 +141,7 @@ fn triangles(source: &mut Source, vertices: usize) -> Result<Vec<[u32; 3]>, Avat
 }
 
 /// The joints, with their positions in the template.
-fn joints(source: &mut Source, template: &[Vec3]) -> Result<Vec<Joint>, AvatarError> {
+fn joints(source: &mut Source, template: &[Vec3]) -> Result<Vec<Joint>, HeadError> {
     let regressor = source.matrix("J_regressor")?;
     if [regressor.rows, regressor.columns] != [JOINTS, template.len()] {
         let expected = format!("({JOINTS}, {}) for the joints and vertices", template.len());
@@ -172,7 +172,7 @@ fn shapes(
     source: &mut Source,
     vertices: usize,
     teeth: Option<&Teeth>,
-) -> Result<(Vec<Shape>, Vec<Shape>), AvatarError> {
+) -> Result<(Vec<Shape>, Vec<Shape>), HeadError> {
     let Array { shape, values } = source.array("shapedirs")?;
     let components = match shape[..] {
         [count, 3, components] if count == vertices => components,
@@ -209,7 +209,7 @@ fn pose_correctives(
     source: &mut Source,
     vertices: usize,
     teeth: Option<&Teeth>,
-) -> Result<Vec<PoseCorrective>, AvatarError> {
+) -> Result<Vec<PoseCorrective>, HeadError> {
     let Array { shape, values } = source.array("posedirs")?;
     const ENTRIES: usize = 9 * (JOINTS - 1);
     if shape != [vertices, 3, ENTRIES] {
@@ -228,7 +228,7 @@ fn pose_correctives(
     Ok((1..JOINTS).map(of_joint).collect())
 }
 
-fn skinning(source: &mut Source, vertices: usize) -> Result<Skinning, AvatarError> {
+fn skinning(source: &mut Source, vertices: usize) -> Result<Skinning, HeadError> {
     let Array { shape, values } = source.array("weights")?;
     if shape != [vertices, JOINTS] {
         let expected = format!("({vertices}, {JOINTS})");
@@ -243,7 +243,7 @@ fn vertices_of_joint(skinning: &Skinning, joint: usize) -> Vec<u32> {
 }
 
 /// The groups of vertices of the file of masks, if there is one.
-fn masks(model: &Path, vertices: usize) -> Result<BTreeMap<String, Vec<u32>>, AvatarError> {
+fn masks(model: &Path, vertices: usize) -> Result<BTreeMap<String, Vec<u32>>, HeadError> {
     let path = model.with_file_name(MASKS);
     if !path.exists() {
         return Ok(BTreeMap::new());
@@ -259,7 +259,7 @@ fn masks(model: &Path, vertices: usize) -> Result<BTreeMap<String, Vec<u32>>, Av
 }
 
 /// The mesh beside the model that has texture coordinates, if there is one, and its path.
-fn template_mesh(model: &Path, vertices: usize) -> Result<Option<(PathBuf, Obj)>, AvatarError> {
+fn template_mesh(model: &Path, vertices: usize) -> Result<Option<(PathBuf, Obj)>, HeadError> {
     let path = model.with_file_name(TEMPLATE);
     if !path.exists() {
         return Ok(None);
@@ -267,13 +267,13 @@ fn template_mesh(model: &Path, vertices: usize) -> Result<Option<(PathBuf, Obj)>
     let mesh = read_obj(&path)?;
     if mesh.positions.len() != vertices {
         let (expected, found) = (vertices, mesh.positions.len());
-        return Err(AvatarError::Topology { path, model: "the FLAME model beside it", expected, found });
+        return Err(HeadError::Topology { path, model: "the FLAME model beside it", expected, found });
     }
     Ok(Some((path, mesh)))
 }
 
 /// The texture coordinates of each triangle in the triangle of the mesh with the same corners; `None` if the mesh has none.
-fn texture(path: &Path, mesh: &Obj, triangles: &[[u32; 3]]) -> Result<Option<TextureMap>, AvatarError> {
+fn texture(path: &Path, mesh: &Obj, triangles: &[[u32; 3]]) -> Result<Option<TextureMap>, HeadError> {
     if mesh.texture_polygons.is_empty() {
         return Ok(None);
     }
@@ -298,7 +298,7 @@ fn texture(path: &Path, mesh: &Obj, triangles: &[[u32; 3]]) -> Result<Option<Tex
 }
 
 /// The full embedding of landmarks (`full_lmk_faces_idx`, `full_lmk_bary_coords`), if there is one.
-fn landmarks(model: &Path, triangles: usize) -> Result<Vec<(u32, Vec3)>, AvatarError> {
+fn landmarks(model: &Path, triangles: usize) -> Result<Vec<(u32, Vec3)>, HeadError> {
     let paths = LANDMARKS.map(|name| model.with_file_name(name));
     let Some(path) = paths.into_iter().find(|path| path.exists()) else { return Ok(Vec::new()) };
     let file = Pickle::open(&path)?;

@@ -10,7 +10,7 @@ use std::path::Path;
 use glam::Vec3;
 use srflow_files::{Array, FileError, FileProblem, Npz};
 
-use crate::avatar::AvatarError;
+use crate::HeadError;
 use crate::landmark_file::{on_triangle, place, read_rows};
 use crate::regions::{divide_skin, mark_parts};
 use crate::skeleton_names::roles;
@@ -31,7 +31,7 @@ const MEMBER: f32 = 1e-4;
 ///
 /// # Errors
 /// Names the file and the array that is missing, malformed, or of another shape.
-pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
+pub(crate) fn load(path: &Path) -> Result<HeadModel, HeadError> {
     let mut file = Npz::open(path)?;
     let template = vectors(&mut file, "template_vertex_positions", None)?;
     let count = template.len();
@@ -182,11 +182,7 @@ fn groups(file: &mut Npz, vertices: usize) -> Result<BTreeMap<String, Vec<u32>>,
 }
 
 /// The 68 landmarks in dlib's order; none if there is no file.
-fn landmarks(
-    model: &Path,
-    template: &[Vec3],
-    triangles: &[[u32; 3]],
-) -> Result<Vec<(u32, Vec3)>, AvatarError> {
+fn landmarks(model: &Path, template: &[Vec3], triangles: &[[u32; 3]]) -> Result<Vec<(u32, Vec3)>, HeadError> {
     let paths = LANDMARKS.map(|name| model.with_file_name(name));
     let Some(path) = paths.into_iter().find(|path| path.exists()) else { return Ok(Vec::new()) };
     let mut rows = read_rows(&path, template.len())?;

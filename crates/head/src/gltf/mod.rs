@@ -12,8 +12,8 @@ use glam::{DMat3, DMat4, DVec3, Vec2, Vec3};
 use srflow_files::{FileKind, FileProblem};
 use srflow_splat::gltf::{Document, Node, Placed, Primitive, TRIANGLES};
 
+use crate::HeadError;
 use crate::arkit::action_units;
-use crate::avatar::AvatarError;
 use crate::landmark_file::{on_triangle, read_rows};
 use crate::regions::divide_skin;
 use crate::skeleton_names::roles;
@@ -57,7 +57,7 @@ const PARTS: [(&str, Region); 22] = [
 ///
 /// # Errors
 /// Names the file and the part that is missing or malformed.
-pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
+pub(crate) fn load(path: &Path) -> Result<HeadModel, HeadError> {
     let document = Document::open(path, FileKind::Mesh)?;
     let mut model =
         Builder::new(&document).and_then(Builder::model).map_err(|problem| problem.in_file(path))?;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::{Vec2, Vec3};
 
-use crate::avatar::AvatarError;
+use crate::HeadError;
 use crate::{JointRole, TextureMap};
 
 /// Vertices of FLAME, after which those of the teeth come.
@@ -61,9 +61,9 @@ pub(super) struct Teeth {
 impl Teeth {
     /// # Errors
     /// When the template is not FLAME's.
-    pub(super) fn on(path: &Path, template: &[Vec3]) -> Result<Self, AvatarError> {
+    pub(super) fn on(path: &Path, template: &[Vec3]) -> Result<Self, HeadError> {
         if template.len() != FLAME_VERTICES {
-            return Err(AvatarError::Topology {
+            return Err(HeadError::Topology {
                 path: path.to_owned(),
                 model: "FLAME, which the teeth need,",
                 expected: FLAME_VERTICES,

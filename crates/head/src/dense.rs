@@ -1,7 +1,5 @@
 //! Small dense linear algebra in f64, on row-major slices.
 
-use glam::{DMat4, DVec4};
-
 /// Replaces the lower triangle of the symmetric `a` (n x n; the upper triangle is not read) by its Cholesky factor L in
 /// `a = L L^T`. False if `a` is not positive definite.
 fn cholesky(a: &mut [f64], n: usize) -> bool {
@@ -26,7 +24,7 @@ fn cholesky(a: &mut [f64], n: usize) -> bool {
 }
 
 /// In eight sums, which the compiler can keep in one register.
-pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
     let mut sums = [0.0; 8];
     for (a, b) in a.iter().zip(b) {
@@ -39,7 +37,7 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// The inverse of a symmetric positive definite matrix (n x n), of which the lower triangle is read; `None` if it is not
 /// positive definite.
-pub(crate) fn inverse(mut a: Vec<f64>, n: usize) -> Option<Vec<f64>> {
+pub fn inverse(mut a: Vec<f64>, n: usize) -> Option<Vec<f64>> {
     if n == 0 {
         return Some(a);
     }
@@ -77,7 +75,7 @@ pub(crate) fn inverse(mut a: Vec<f64>, n: usize) -> Option<Vec<f64>> {
 }
 
 /// `a b` for a: n x m and b: m x k.
-pub(super) fn product(a: &[f64], b: &[f64], m: usize, k: usize) -> Vec<f64> {
+pub fn product(a: &[f64], b: &[f64], m: usize, k: usize) -> Vec<f64> {
     let n = a.len().checked_div(m).unwrap_or(0);
     let mut out = vec![0.0; n * k];
     if n * k == 0 {
@@ -94,7 +92,7 @@ pub(super) fn product(a: &[f64], b: &[f64], m: usize, k: usize) -> Vec<f64> {
 }
 
 /// Subtracts `a^T b` from `out`, for a: m x n, b: m x k, out: n x k.
-pub(super) fn subtract_transposed_product(out: &mut [f64], a: &[f64], b: &[f64], n: usize, k: usize) {
+pub fn subtract_transposed_product(out: &mut [f64], a: &[f64], b: &[f64], n: usize, k: usize) {
     if n == 0 || k == 0 {
         return;
     }
@@ -105,36 +103,6 @@ pub(super) fn subtract_transposed_product(out: &mut [f64], a: &[f64], b: &[f64],
             }
         }
     }
-}
-
-/// The eigenvector of a symmetric matrix for its largest eigenvalue, by Jacobi's rotations.
-pub(super) fn largest_eigenvector(matrix: DMat4) -> DVec4 {
-    let mut a = matrix.to_cols_array_2d();
-    let mut vectors = DMat4::IDENTITY.to_cols_array_2d();
-    for _ in 0..32 {
-        for p in 0..4 {
-            for q in p + 1..4 {
-                if a[p][q] == 0.0 {
-                    continue;
-                }
-                let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-                let t = theta.signum() / (theta.abs() + libm::hypot(theta, 1.0));
-                let c = 1.0 / libm::hypot(t, 1.0);
-                let s = t * c;
-                for column in &mut a {
-                    (column[p], column[q]) = (c * column[p] - s * column[q], s * column[p] + c * column[q]);
-                }
-                let (row_p, row_q) = (a[p], a[q]);
-                a[p] = std::array::from_fn(|k| c * row_p[k] - s * row_q[k]);
-                a[q] = std::array::from_fn(|k| s * row_p[k] + c * row_q[k]);
-                for row in &mut vectors {
-                    (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
-                }
-            }
-        }
-    }
-    let largest = (0..4).fold(0, |best, i| if a[i][i] > a[best][best] { i } else { best });
-    DVec4::from_array(vectors.map(|row| row[largest]))
 }
 
 #[cfg(test)]
@@ -159,22 +127,5 @@ mod tests {
             }
         }
         assert_eq!(inverse(vec![f64::NAN], 1), None);
-    }
-
-    #[test]
-    fn the_eigenvector_is_stretched_most() {
-        let mut stream = Key::new(6).stream("dense");
-        for _ in 0..50 {
-            let root = DMat4::from_cols_array(&std::array::from_fn(|_| f64::from(stream.normal())));
-            let matrix = root + root.transpose();
-            let vector = largest_eigenvector(matrix);
-            let value = vector.dot(matrix * vector);
-            assert!((matrix * vector - vector * value).length() < 1e-9, "{vector}");
-            for _ in 0..20 {
-                let other =
-                    DVec4::from_array(std::array::from_fn(|_| f64::from(stream.normal()))).normalize();
-                assert!(other.dot(matrix * other) <= value + 1e-9);
-            }
-        }
     }
 }

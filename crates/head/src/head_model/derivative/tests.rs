@@ -7,7 +7,7 @@ use srflow_core::random::{Key, Stream};
 
 use super::super::tests::{by_definition, model, pose, state};
 use super::*;
-use crate::{Avatar, HeadModel, HeadPose};
+use crate::{HeadModel, HeadPose, ict};
 
 /// Parameters in the order of [`HeadPoints::columns`], each moved by `step` in turn.
 fn moved(from: &HeadState, model: &HeadModel, column: usize, step: f64) -> HeadState {
@@ -115,9 +115,9 @@ fn derivatives_of_ict_facekit_are_central_differences() {
         eprintln!("skipped: shared-data: no ICT-FaceKit at {}", folder.display());
         return;
     }
-    let avatar = Avatar::ict(folder, 2).expect("an avatar");
-    check_landmarks(avatar.model(), 2);
-    check_backward(avatar.model(), 2);
+    let model = ict::load(folder).expect("a head model");
+    check_landmarks(&model, 2);
+    check_backward(&model, 2);
 }
 
 /// Backward against forward on all vertices.

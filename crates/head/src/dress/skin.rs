@@ -3,12 +3,12 @@
 use glam::{Quat, Vec3};
 
 use super::Dressing;
+use super::Splat;
 use super::complexion::Complexion;
 use super::specks::{self, Specks};
 use super::strand::{Strand, add_strand};
 use super::surface::SurfacePoint;
 use crate::Region;
-use crate::binding::Splat;
 
 const MM: f32 = 1e-3;
 

@@ -1,0 +1,45 @@
+//! Head models that move: readers, action units, motion, and the Gaussians that dress them.
+//!
+//! World units are metres. A head looks along +z, +y is up, and +x is the subject's left, as in FLAME.
+
+mod arkit;
+mod builtin;
+pub mod dense;
+mod dress;
+mod error;
+mod flame;
+mod gltf;
+mod gnm;
+mod head_model;
+mod ict;
+mod landmark_file;
+mod mesh;
+mod micro_expression;
+mod model_source;
+pub mod motion;
+mod obj;
+mod parameters;
+mod pickle;
+mod regions;
+mod skeleton_names;
+mod triangle_frame;
+mod unit_fit;
+mod unit_name;
+mod unit_table;
+
+pub use dress::{Splat, dress};
+pub use error::HeadError;
+pub use head_model::{
+    ActionUnit, HeadGradient, HeadModel, HeadModelError, HeadPoints, HeadPose, HeadState, Joint, JointRole,
+    Offsets, PointDerivatives, PoseCorrective, Region, Shape, ShapedHead, Side, Skinning, TextureMap,
+    rotation_of_axis_angle,
+};
+pub use mesh::{MeshFormat, MeshMotion, add_mesh, write_mesh};
+pub use micro_expression::MicroExpression;
+pub use model_source::ModelSource;
+pub use motion::{Moment, Motion};
+pub use parameters::{HeadParameters, ParametersError, PoseParameters};
+pub use triangle_frame::{TriangleFrame, TriangleFrameGradient, vertex_gradients};
+pub use unit_fit::{Left, UnitQuality, unit_qualities};
+pub use unit_name::unit_name;
+pub use unit_table::{UNITS_NAME, write_units};

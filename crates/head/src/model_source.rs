@@ -1,0 +1,202 @@
+//! Where head models come from: a table of kinds, one line each.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use crate::{HeadError, HeadModel, flame, gltf, gnm, ict};
+
+/// A kind of head model, as in `--head KIND:PATH`.
+struct Kind {
+    /// Its name, e.g. `flame`.
+    name: &'static str,
+    /// What comes after the colon, e.g. `FILE`; empty for a kind without files.
+    path: &'static str,
+    /// Title in the help.
+    about: &'static str,
+    /// Files that are read if they exist beside the one that is named.
+    companions: &'static [&'static str],
+    /// Reads the model; the seed matters to heads that are made from one.
+    load: fn(&Path, u64) -> Result<HeadModel, HeadError>,
+}
+
+/// The kinds of head models. The first is the built-in head.
+static KINDS: [Kind; 7] = [
+    Kind {
+        name: "builtin",
+        path: "",
+        about: "a head sculpted by code from a seed",
+        companions: &[],
+        load: |_, seed| Ok(HeadModel::builtin(seed)),
+    },
+    Kind {
+        name: "ict",
+        path: "DIR",
+        about: "ICT-FaceKit's FaceXModel folder",
+        companions: &[],
+        load: |dir, _| ict::load(dir),
+    },
+    Kind {
+        name: "builtin-average",
+        path: "",
+        about: "the average built-in head, whose identity basis are the traits of persons",
+        companions: &[],
+        load: |_, _| Ok(HeadModel::builtin_average()),
+    },
+    Kind {
+        name: "flame",
+        path: "FILE",
+        about: "FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth",
+        companions: &flame::COMPANIONS,
+        load: |file, _| flame::load(file, true),
+    },
+    Kind {
+        name: "flame-toothless",
+        path: "FILE",
+        about: "FLAME as published",
+        companions: &flame::COMPANIONS,
+        load: |file, _| flame::load(file, false),
+    },
+    Kind {
+        name: "gnm",
+        path: "FILE",
+        about: "GNM Head 3 (gnm_head.npz)",
+        companions: &gnm::COMPANIONS,
+        load: |file, _| gnm::load(file),
+    },
+    Kind {
+        name: "gltf",
+        path: "FILE",
+        about: "any rigged head as .glb or .gltf",
+        companions: &gltf::COMPANIONS,
+        load: |file, _| gltf::load(file),
+    },
+];
+
+/// A head model to read or make: `builtin`, or a kind and a path, as `flame:FILE`.
+#[derive(Clone)]
+pub struct ModelSource {
+    kind: &'static Kind,
+    path: PathBuf,
+}
+
+impl ModelSource {
+    /// The built-in head.
+    pub fn builtin() -> Self {
+        Self { kind: &KINDS[0], path: PathBuf::new() }
+    }
+
+    /// Name of the kind.
+    pub fn kind(&self) -> &'static str {
+        self.kind.name
+    }
+
+    /// A source of the kind with this name whose path is not known; `None` for an unknown kind.
+    pub fn of_kind(name: &str) -> Option<Self> {
+        let kind = KINDS.iter().find(|kind| kind.name == name)?;
+        Some(Self { kind, path: PathBuf::new() })
+    }
+
+    /// Whether it is made without files.
+    pub fn is_builtin(&self) -> bool {
+        self.kind.path.is_empty()
+    }
+
+    /// The file or folder; empty for the built-in head.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The file and those beside it that are read, or the folder; none for the built-in head.
+    pub fn paths(&self) -> Vec<PathBuf> {
+        if self.is_builtin() {
+            return Vec::new();
+        }
+        let beside = self.kind.companions.iter().map(|name| self.path.with_file_name(name));
+        std::iter::once(self.path.clone()).chain(beside.filter(|path| path.exists())).collect()
+    }
+
+    /// For the help of an argument: all kinds and what their paths are.
+    pub fn help() -> String {
+        let kinds = KINDS.iter().map(|kind| match kind.path {
+            "" => format!("`{}` ({})", kind.name, kind.about),
+            path => format!("`{}:{path}` ({})", kind.name, kind.about),
+        });
+        kinds.collect::<Vec<_>>().join(", ")
+    }
+
+    /// The head model. The seed determines the shape of a built-in head, and nothing of the others.
+    ///
+    /// # Errors
+    /// Names the file that is missing or malformed.
+    pub fn model(&self, seed: u64) -> Result<HeadModel, HeadError> {
+        (self.kind.load)(&self.path, seed)
+    }
+}
+
+impl PartialEq for ModelSource {
+    fn eq(&self, other: &Self) -> bool {
+        self.kind.name == other.kind.name && self.path == other.path
+    }
+}
+
+impl Eq for ModelSource {}
+
+impl fmt::Debug for ModelSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ModelSource({self})")
+    }
+}
+
+impl fmt::Display for ModelSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.kind.name)?;
+        if self.is_builtin() { Ok(()) } else { write!(f, ":{}", self.path.display()) }
+    }
+}
+
+impl FromStr for ModelSource {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, path) = text.split_once(':').unwrap_or((text, ""));
+        let known = KINDS.iter().find(|kind| kind.name == name && kind.path.is_empty() != text.contains(':'));
+        match known {
+            Some(kind) if kind.path.is_empty() == path.is_empty() => Ok(Self { kind, path: path.into() }),
+            _ => {
+                let forms = KINDS.iter().map(|kind| match kind.path {
+                    "" => format!("`{}`", kind.name),
+                    path => format!("`{}:{path}`", kind.name),
+                });
+                Err(format!("`{text}`: expected {}", forms.collect::<Vec<_>>().join(", ")))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_heads_are_read_and_written() {
+        for text in [
+            "builtin",
+            "ict:/a:b",
+            "flame:generic_model.pkl",
+            "flame-toothless:a.npz",
+            "gnm:a.npz",
+            "gltf:a.glb",
+        ] {
+            let source: ModelSource = text.parse().unwrap();
+            assert_eq!(source.to_string(), text);
+            assert_eq!(source.is_builtin(), text == "builtin");
+        }
+        for text in ["flame", "ict:", "builtin:", "builtin:a", "other:a", ""] {
+            let error = text.parse::<ModelSource>().unwrap_err();
+            assert!(error.contains("`builtin`, `ict:DIR`, `builtin-average`, `flame:FILE`"), "{error}");
+        }
+        let names: std::collections::BTreeSet<&str> = KINDS.iter().map(|kind| kind.name).collect();
+        assert_eq!(names.len(), KINDS.len());
+    }
+}

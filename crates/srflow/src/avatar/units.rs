@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_avatar::{HeadSource, Side, UnitQuality, unit_qualities, write_units};
-use srflow_eval::{Column, Row, Table};
+use srflow_report::{Column, Row, Table};
 
 use super::mesh::default_seed;
 use crate::clap::Args;

@@ -1,4 +1,4 @@
-//! Scores any estimator over any dataset: tables, panels, curves and the one-file HTML report.
+//! Scores any estimator over any dataset, and shows the scores and the scored pairs.
 
 mod crop;
 mod error_curve;
@@ -7,10 +7,10 @@ mod expression;
 mod flow_files;
 mod kept;
 mod method_record;
+mod pair_figures;
 mod regions;
-pub mod report;
 mod results;
-mod table;
+mod score_report;
 mod zero;
 
 pub use crop::{CropError, Window, head_window, window_about};
@@ -22,11 +22,10 @@ pub use expression::Expression;
 pub use flow_files::{FlowFileError, FlowFiles, FlowFilesError};
 pub use kept::{KeptPair, KeptScores};
 pub use method_record::MethodRecord;
+pub use pair_figures::{pair_figures, sample_panels};
 pub use results::{
     Evaluation, Failure, MethodScores, PairScores, Region, SCORES, ScoreColumn, dataset_title,
     improvement_columns, improvement_percent, score_columns,
 };
-pub use table::{
-    Better, Column, Mark, Row, Table, TextStyle, joined, latex_escape, latex_file, markdown_file,
-};
+pub use score_report::{score_figures, score_report};
 pub use zero::Zero;

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use srflow_core::{Metrics, named};
 use srflow_data::flow::Split;
+use srflow_report::{Better, Column, Row, Table, csv_text};
 
 use crate::expression::Expression;
-use crate::table::{Better, Column, Row, Table, csv_text};
 
 /// The scores of every method over one dataset.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -2,10 +2,11 @@
 
 use srflow_core::{FlowField, Plane, flow_colors};
 use srflow_data::micro_expression::Clip;
-use srflow_eval::report::{
-    Axis, Chart, Curve, Figure, Page, Picture, PictureError, Section, Strip, color_scale, confusion_matrix,
-    curves, facts, flow_scale, ramp_legend, score_table, shrink_image, side_by_side, strips, wheel_legend,
+use srflow_report::html::{
+    Axis, Chart, Curve, Figure, Page, Picture, PictureError, Section, Strip, confusion_matrix, curves, facts,
+    ramp_legend, score_table, side_by_side, strips, wheel_legend,
 };
+use srflow_report::{color_scale, flow_scale, shrink_image};
 
 use crate::extract::faces_of_clip;
 use crate::extract_error::ExtractError;

@@ -1,7 +1,7 @@
 //! Runs as tables: the SRFlow paper's (best three marked), those of a fixed epoch, confusion matrices and folds.
 
 use serde::Serialize;
-use srflow_eval::{Better, Column, Row, Table, latex_escape};
+use srflow_report::{Better, Column, Row, Table, latex_escape};
 
 use crate::loso::{FoldRecord, Loso};
 use crate::metrics::{Confusion, Scores};

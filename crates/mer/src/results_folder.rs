@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use srflow_eval::{MethodRecord, Table, TextStyle, joined, latex_file, markdown_file};
+use srflow_eval::MethodRecord;
 use srflow_files::{FileError, FileProblem, create_folder, write_file};
+use srflow_report::{Table, TextStyle, joined, latex_file, markdown_file};
 
 use crate::apex::ApexRule;
 use crate::predictions::write_predictions;

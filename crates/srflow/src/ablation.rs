@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, anyhow, bail};
 use serde::{Deserialize, Serialize};
 use srflow_data::flow::{FlowDataset, Split};
-use srflow_eval::report::{Page, Section, score_table};
-use srflow_eval::{Table, TextStyle, joined, markdown_file};
 use srflow_files::{create_folder, write_file};
 use srflow_ops::device;
+use srflow_report::html::{Page, Section, score_table};
+use srflow_report::{Table, TextStyle, joined, markdown_file};
 use srflow_train::ablation::{
     Ablated, AblationEvent, AblationSettings, Cell, TestTables, Variant, VariantData, ablate, paper_tables,
     test_tables, variants,

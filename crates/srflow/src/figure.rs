@@ -6,13 +6,14 @@ use std::str::FromStr;
 
 use anyhow::{Context as _, bail, ensure};
 use serde::{Deserialize, Serialize};
-use srflow_core::{FlowField, Mask, SettingError, Size, excerpt, excerpts, serialize_as_text};
+use srflow_core::{FlowField, Mask, Plane, SettingError, Size, excerpt, excerpts, serialize_as_text};
 use srflow_data::flow::{DatasetSpec, FlowDataset, Split};
 use srflow_eval::{Window, head_window, spread};
-use srflow_figure::{Composed, Ends, Figure, Pair, Plan, Scales, Style, check_text, resolve};
 use srflow_files::{create_folder, read_flow, read_image, write_file, write_image_png};
+use srflow_mer::{StrainFormula, optical_strain};
+use srflow_report::figure::{Composed, Ends, Figure, Pair, Plan, Scales, Style, check_text, resolve};
 
-pub use srflow_figure::{Column, Length, Scale};
+pub use srflow_report::figure::{Column, Length, Scale};
 
 use crate::clap::Args;
 use crate::error::wrong_settings;
@@ -399,6 +400,11 @@ impl Job for FigureJob {
     }
 }
 
+/// The strain that figures show.
+pub(crate) fn strain(flow: &FlowField) -> Plane {
+    optical_strain(flow, StrainFormula::Literature)
+}
+
 /// Writes the panels of a figure as PNGs of full size, numbered from left to right and from top to bottom, and returns their files.
 #[doc(hidden)]
 pub fn write_panels(dir: &Path, figure: &Figure) -> anyhow::Result<Vec<PathBuf>> {
@@ -508,6 +514,7 @@ impl FigureJob {
             methods,
             columns,
             most_columns: self.max_columns.into(),
+            strain,
             scales: Scales { flow: self.flow_scale, error: self.error_scale, strain: self.strain_scale },
             arrows: self.arrows.map(|step| step as usize),
             scores: !self.no_scores,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use srflow_core::printable;
-use srflow_eval::{Table, TextStyle, joined, latex_file};
+use srflow_report::{Table, TextStyle, joined, latex_file};
 
 use crate::error::wrong_settings;
 use crate::video::is_video;

@@ -10,11 +10,11 @@ use serde::{Deserialize, Serialize};
 use srflow_core::Metrics;
 use srflow_data::flow::FlowDataset;
 use srflow_eval::{
-    Column, Region, Row, SCORES, ScoreColumn, Table, dataset_title, improvement_columns, improvement_percent,
-    score_columns,
+    Region, SCORES, ScoreColumn, dataset_title, improvement_columns, improvement_percent, score_columns,
 };
 use srflow_files::{FileKind, RunMode, parse_error_in_words, read_text, write_file};
 use srflow_nets::load_network;
+use srflow_report::{Column, Row, Table};
 
 use crate::checkpoint::Checkpoints;
 use crate::config::{Config, Source};

@@ -1,6 +1,6 @@
 //! The HTML report of a run: curves of losses and scores, and the configuration.
 
-use srflow_eval::report::{Axis, Chart, Curve, Figure, Page, Section, curves, settings_facts, tiles};
+use srflow_report::html::{Axis, Chart, Curve, Figure, Page, Section, curves, settings_facts, tiles};
 
 use crate::config::Config;
 use crate::loss::{REGULARIZERS, cyclic};

@@ -1,4 +1,4 @@
-// Colours of flow and of errors; the definitions are `srflow_core::flow_colors` and `srflow_eval::report`'s heat map.
+// Colours of flow and of errors; the definitions are `srflow_core::flow_colors` and `srflow_report`'s heat map.
 
 /** Middlebury's colour wheel (Baker et al., IJCV 2011), 55 colours of 0 to 1. */
 const WHEEL = (() => {

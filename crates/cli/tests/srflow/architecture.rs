@@ -22,6 +22,7 @@ const PIPELINE: [&str; 23] = [
     "srflow-data",
     "srflow-render",
     "srflow-classical",
+    "srflow-report",
     "srflow-eval",
     "srflow-ops",
     "srflow-face",
@@ -29,7 +30,6 @@ const PIPELINE: [&str; 23] = [
     "srflow-nets",
     "srflow-train",
     "srflow-mer",
-    "srflow-figure",
     "srflow-view",
     "srflow",
     "srflow-cli",
@@ -85,7 +85,7 @@ fn readers_do_not_depend_on_the_renderer() {
             .filter(|name| PIPELINE.contains(name))
             .collect()
     };
-    for name in ["srflow-data", "srflow-eval", "srflow-nets", "srflow-train", "srflow-mer"] {
+    for name in ["srflow-data", "srflow-report", "srflow-eval", "srflow-nets", "srflow-train", "srflow-mer"] {
         let mut reached = vec![name];
         let mut next = 0;
         while let Some(&at) = reached.get(next) {

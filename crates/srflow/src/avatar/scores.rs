@@ -2,8 +2,8 @@
 
 use srflow_avatar::capture::CaptureSplit;
 use srflow_avatar::train::{Score, SplitScore};
-use srflow_eval::{Column, Row, Table};
 use srflow_render::mesh_error::{MeshError, PartDistance};
+use srflow_report::{Column, Row, Table};
 
 /// What the columns of the tables are.
 pub const SCORE_DEFINITIONS: &str = "PSNR of the whole picture is that of GaussianAvatars' metrics.py; the mean of the ratios of the three \

@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_avatar::HeadSource;
-use srflow_eval::{Column, Row, Table};
 use srflow_head::{Side, UnitQuality, unit_qualities, write_units};
+use srflow_report::{Column, Row, Table};
 
 use super::mesh::default_seed;
 use crate::clap::Args;

@@ -4,9 +4,10 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::{Image, flow_colors};
-use srflow_eval::report::{ActionCard, Picture, flow_scale, shrink_flow, shrink_image};
 use srflow_head::{HeadPose, Side, unit_name};
 use srflow_render::generate::{Rig, View};
+use srflow_report::html::{ActionCard, Picture};
+use srflow_report::{flow_scale, shrink_flow, shrink_image};
 use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer};
 
 /// Size of the rendering and width of the picture on the page: Gaussians far smaller than a pixel look thick, so the

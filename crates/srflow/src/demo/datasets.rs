@@ -8,11 +8,10 @@ use srflow_avatar::{Avatars, HeadSource};
 use srflow_core::{FlowField, Image, Size, flow_colors};
 use srflow_data::flow::{DatasetSpec, Entry, FlowDataset, Sample, Split};
 use srflow_data::manifest::Manifest;
-use srflow_eval::head_window;
-use srflow_eval::report::{
-    Film, Panel, Picture, flow_scale, sample_panels, shrink_flow, shrink_image, shrink_mask,
-};
+use srflow_eval::{head_window, sample_panels};
 use srflow_render::generate::{self, Background, Report, Settings};
+use srflow_report::html::{Film, Panel, Picture};
+use srflow_report::{flow_scale, shrink_flow, shrink_image, shrink_mask};
 
 use crate::Watch;
 use crate::rendering::RenderingArgs;

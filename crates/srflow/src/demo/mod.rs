@@ -14,10 +14,10 @@ use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatars, HeadSource};
 use srflow_core::{FlowEstimator, Size};
 use srflow_data::flow::{DatasetSpec, FlowDataset};
-use srflow_eval::report::{Figure, pair_figures};
-use srflow_eval::{Evaluation, Settings};
+use srflow_eval::{Evaluation, Settings, pair_figures};
 use srflow_files::write_file;
 use srflow_render::generate::FULL_SIZE;
+use srflow_report::html::Figure;
 
 use crate::clap::Args;
 use crate::error::wrong_settings;

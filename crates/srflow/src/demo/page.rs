@@ -1,9 +1,9 @@
 //! The contents of the demo's report, from top to bottom.
 
-use srflow_eval::Evaluation;
-use srflow_eval::report::{
+use srflow_eval::{Evaluation, score_figures};
+use srflow_report::html::{
     ActionCard, Axis, Bar, Bin, Chart, Figure, Film, Page, Panel, Section, action_cards, bars, compare,
-    embedded, facts, films, histogram, panels, score_figures, side_by_side, tiles, wheel_legend,
+    embedded, facts, films, histogram, panels, side_by_side, tiles, wheel_legend,
 };
 
 use super::datasets::{Rendered, Still};

@@ -10,20 +10,21 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use srflow_core::{SettingError, Shard, Size};
 use srflow_data::flow::{DatasetSpec, FlowDataset, KINDS, Split};
-use srflow_eval::report::{Figure, pair_figures, score_report};
 use srflow_eval::{
-    Evaluation, Method, MethodRecord, OnFailure, ScoredPair, Settings, TextStyle, Window, joined,
-    markdown_file, scored_pairs, window_about,
+    Evaluation, Method, MethodRecord, OnFailure, ScoredPair, Settings, Window, pair_figures, score_report,
+    scored_pairs, window_about,
 };
 use srflow_face::FaceBox;
-use srflow_figure::{Content, Pair, Plan, Scale, Scales, Source as Flow, Style};
 use srflow_files::{create_folder, write_file};
+use srflow_report::figure::{Content, Pair, Plan, Scale, Scales, Source as Flow, Style};
+use srflow_report::html::Figure;
+use srflow_report::{TextStyle, joined, markdown_file};
 
 use self::kept::Kept;
 use crate::clap::Args;
 use crate::error::{in_words, wrong_settings};
 use crate::face::FaceArgs;
-use crate::figure::write_panels;
+use crate::figure::{strain, write_panels};
 use crate::methods::{self, MethodParameters, MethodSpec, Rows, RowsArgs, Source};
 use crate::opening::open_dataset;
 use crate::output::{ensure_folder, ensure_free, latex, write_page, write_tables};
@@ -475,6 +476,7 @@ fn write_figure(dir: &Path, methods: &[Method], pairs: &[Pair]) -> anyhow::Resul
         columns: std::iter::once(first).chain((0..methods.len()).map(below)).collect(),
         most_columns: COLUMNS,
         scales: Scales { flow: Scale::Pair, error: Scale::Pair, strain: Scale::Pair },
+        strain,
         arrows: None,
         scores: true,
         letters: false,

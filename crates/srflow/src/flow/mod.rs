@@ -16,9 +16,9 @@ use serde_json::json;
 use srflow_core::{
     FlowEstimate, FlowEstimator, FlowField, FlowSequence, SettingError, Shard, flow_colors, in_stages,
 };
-use srflow_eval::report::heat;
 use srflow_face::{FrameCrop, write_landmarks};
 use srflow_files::{FlowFormat, create_folder, read_flow, write_flow, write_image_png, write_npy_plane};
+use srflow_report::heat;
 
 use self::extra::ExtraOutput;
 use self::frames::{Frame, Source};

@@ -13,13 +13,13 @@ use srflow_avatar::train::{Scorer, SplitScore, TrainConfig, ViewScore, read_run,
 use srflow_avatar::{Avatar, HeadSource};
 use srflow_core::Color;
 use srflow_core::random::Key;
-use srflow_eval::{Column, Row, Table};
 use srflow_files::{create_folder, write_file};
 use srflow_head::HeadPose;
 use srflow_render::RenderError;
 use srflow_render::capture::TrueCapture;
 use srflow_render::label_error::{FlowPair, LabelError, PartError, TestedAvatar, flow_pairs};
 use srflow_render::mesh_error::{MeshError, mesh_error};
+use srflow_report::{Column, Row, Table};
 
 use self::panels::{FlowPanels, Panels, PicturePanels};
 use super::scores::{camera_table, mesh_table, split_table, split_words};

@@ -5,13 +5,13 @@ use std::path::Path;
 use srflow_avatar::capture::CaptureSplit;
 use srflow_avatar::train::{Scorer, ViewScore};
 use srflow_core::{FlowField, Image, Mask, Plane, flow_colors};
-use srflow_eval::Table;
-use srflow_eval::report::{
-    Figure, Page, Panel, Picture, PictureError, Section, color_scale, heat, heat_legend, panels, ramp_legend,
-    score_table, shrink_image, side_by_side, wheel_legend,
-};
 use srflow_files::{FileError, FileProblem, write_image_png};
 use srflow_render::label_error::{FlowComparison, FlowPair};
+use srflow_report::html::{
+    Figure, Page, Panel, Picture, PictureError, Section, heat_legend, panels, ramp_legend, score_table,
+    side_by_side, wheel_legend,
+};
+use srflow_report::{Table, color_scale, heat, shrink_image};
 
 use super::super::scores::{SCORE_DEFINITIONS, split_words};
 use crate::machine;

@@ -3,11 +3,12 @@
 use srflow_avatar::train::{
     IterationsRecord, LogRecord, RunOutcome, ScoredSplit, ScoresRecord, Trainer, ViewScore,
 };
-use srflow_eval::report::{
-    Axis, Chart, Curve, Figure, Page, Picture, Section, compare, curves, score_table, settings_facts,
-    shrink_image, side_by_side, tiles,
-};
 use srflow_files::settings_text;
+use srflow_report::html::{
+    Axis, Chart, Curve, Figure, Page, Picture, Section, compare, curves, score_table, settings_facts,
+    side_by_side, tiles,
+};
+use srflow_report::shrink_image;
 
 use super::super::scores::{SCORE_DEFINITIONS, camera_table, split_table, split_words};
 use crate::machine;

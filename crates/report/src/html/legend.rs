@@ -1,11 +1,11 @@
 use maud::html;
-use srflow_core::{FlowField, Image, flow_colors};
+use srflow_core::Image;
 
 use super::charts::number;
-use super::heat::ColorMap;
 use super::{Figure, Picture, PictureError};
+use crate::{ColorMap, color_wheel};
 
-/// The legend of [`heat`](super::heat): its colours from 0 to `max` pixels, and a note.
+/// The legend of [`heat`](crate::heat()): its colours from 0 to `max` pixels, and a note.
 ///
 /// # Errors
 /// When the ramp cannot be encoded.
@@ -36,17 +36,4 @@ pub fn wheel_legend(max: f64, words: &str) -> Result<Figure, PictureError> {
             span { "Hue is the direction of motion, saturation its length; the rim is " (number(max)) " px. " (words) }
         }
     }))
-}
-
-/// A disc in flow colours, full at its rim.
-pub fn color_wheel() -> Image {
-    const RADIUS: f32 = 62.0;
-    let place = |at: usize| (at as f32 - RADIUS) / RADIUS;
-    let side = 2 * RADIUS as usize + 1;
-    // Zero flow outside the disc: white corners, which the style sheet rounds off.
-    let disc = FlowField::from_fn(side, side, |x, y| match (place(x), place(y)) {
-        (u, v) if u.hypot(v) <= 1.0 => [u, v],
-        _ => [0.0; 2],
-    });
-    flow_colors(&disc, Some(1.0))
 }

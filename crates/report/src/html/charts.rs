@@ -171,7 +171,7 @@ pub(super) fn place(value: f64) -> String {
 }
 
 /// A number with no unnecessary digits.
-pub(super) fn number(value: f64) -> String {
+pub fn number(value: f64) -> String {
     let size = value.abs();
     for (unit, letter) in [(1e9, 'G'), (1e6, 'M'), (1e4, 'k')] {
         if size >= unit {

@@ -1,14 +1,11 @@
 //! From frames and flows to the panels and legends of a figure.
 
+use crate::{ColorMap, color_scale, color_wheel, error_map, flow_picture, flow_scale, middle_scale};
 use srflow_core::{FlowField, Image, Plane, score};
-use srflow_eval::report::{
-    ColorMap, color_scale, color_wheel, error_map, flow_picture, flow_scale, middle_scale,
-};
-use srflow_mer::{StrainFormula, optical_strain};
 
-use crate::columns::{Content, Source};
-use crate::grid::{Arrow, Figure, Legend, Panel, Row};
-use crate::scale::{Ends, Scale, Scales};
+use super::columns::{Content, Source};
+use super::grid::{Arrow, Figure, Legend, Panel, Row};
+use super::scale::{Ends, Scale, Scales};
 
 /// One pair of frames with its flows, all of one size.
 #[derive(Debug, Clone)]
@@ -26,11 +23,13 @@ pub struct Pair {
 pub struct Plan {
     /// Names of the methods.
     pub methods: Vec<String>,
-    /// The panels of each column, from top to bottom: see [`resolve`](crate::resolve).
+    /// The panels of each column, from top to bottom: see [`resolve`](super::resolve).
     pub columns: Vec<Vec<Content>>,
     /// At most so many columns are beside each other; the others continue in a further row.
     pub most_columns: usize,
     pub scales: Scales,
+    /// Computes the optical strain of a flow, in its size.
+    pub strain: fn(&FlowField) -> Plane,
     /// Draw an arrow over each so many pixels of a flow.
     pub arrows: Option<usize>,
     /// Write the end-point error of each method below its panels.
@@ -200,12 +199,13 @@ impl Plan {
             };
             pair.flows.iter().enumerate().map(map).collect()
         };
-        let strain = |flow: &FlowField| optical_strain(flow, StrainFormula::Literature);
         let truth = pair.truth.as_ref();
         Maps {
             errors: of_methods(Content::Error, &|flow| truth.map(|truth| error_map(flow, truth))),
-            strain: of_methods(|method| Content::Strain(Source::Method(method)), &|flow| Some(strain(flow))),
-            true_strain: truth.filter(|_| shown(Content::Strain(Source::Truth))).map(strain),
+            strain: of_methods(|method| Content::Strain(Source::Method(method)), &|flow| {
+                Some((self.strain)(flow))
+            }),
+            true_strain: truth.filter(|_| shown(Content::Strain(Source::Truth))).map(self.strain),
         }
     }
 

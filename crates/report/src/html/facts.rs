@@ -11,8 +11,18 @@ pub fn tiles(numbers: &[(String, String)]) -> Figure {
 
 /// Names and values in rows: settings and machine.
 pub fn facts(pairs: &[(String, String)]) -> Figure {
+    titled_facts("", pairs)
+}
+
+/// [`facts`] under a title, which may be empty.
+pub fn titled_facts(title: &str, pairs: &[(String, String)]) -> Figure {
     Figure(html! {
-        figure { div.panel.plain { dl.facts { @for (name, value) in pairs { dt { (name) } dd { (value) } } } } }
+        figure {
+            div.panel.plain {
+                @if !title.is_empty() { h3 { (title) } }
+                dl.facts { @for (name, value) in pairs { dt { (name) } dd { (value) } } }
+            }
+        }
     })
 }
 

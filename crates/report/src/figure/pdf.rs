@@ -7,11 +7,11 @@ use pdf_writer::{Content, Filter, Finish, Name, Pdf, Rect, Ref, Str};
 
 use srflow_core::excerpt;
 
-use crate::drawing::{Anchor, Drawing, Item, Paint};
-use crate::font::{code, width};
-use crate::layout::FigureError;
-use crate::number::rounded;
-use crate::picture::Png;
+use super::drawing::{Anchor, Drawing, Item, Paint};
+use super::font::{code, width};
+use super::layout::FigureError;
+use super::number::rounded;
+use super::picture::Png;
 
 const CATALOG: Ref = Ref::new(1);
 const PAGES: Ref = Ref::new(2);

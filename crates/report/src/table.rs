@@ -277,7 +277,7 @@ impl Column {
 }
 
 /// Lines of fields as CSV (RFC 4180, lines ended by a line feed).
-pub(crate) fn csv_text(lines: impl Iterator<Item = Vec<String>>) -> String {
+pub fn csv_text(lines: impl Iterator<Item = Vec<String>>) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     for line in lines {
         writer.write_record(&line).expect("lines of equal length go to memory");

@@ -1,12 +1,11 @@
 //! A report of made-up numbers is complete, well-formed and self-contained.
 
 use srflow_core::{Image, Plane, is_unprintable};
-use srflow_eval::report::{
+use srflow_report::html::{
     ActionCard, Axis, Bar, Bin, Chart, Curve, Figure, Film, Page, Panel, Picture, Section, action_cards,
-    bars, compare, curves, facts, films, heat, heat_legend, histogram, panels, score_table, side_by_side,
-    tiles,
+    bars, compare, curves, facts, films, heat_legend, histogram, panels, score_table, side_by_side, tiles,
 };
-use srflow_eval::{Better, Column, Row, Table};
+use srflow_report::{Better, Column, Row, Table, heat};
 
 /// Text that would break out of any context if it were not escaped.
 const HOSTILE: &str = "<script>alert('x')</script> \" onload=x & </style> \u{202e}\u{1b}[2J";

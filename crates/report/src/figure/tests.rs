@@ -3,10 +3,10 @@ use std::io::{Cursor, Read};
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use flate2::read::ZlibDecoder;
-use srflow_core::{FlowField, Image, flow_colors};
+use srflow_core::{FlowField, Image, Plane, flow_colors};
 
-use crate::font::width;
-use crate::*;
+use super::font::width;
+use super::*;
 
 const METHODS: [&str; 2] = ["Ours", "a < b & \"c\""];
 
@@ -27,6 +27,16 @@ fn pair(name: &str, (width, height): (usize, usize), longest: f32) -> Pair {
     }
 }
 
+/// The change of flow towards the lower right.
+fn strain(flow: &FlowField) -> Plane {
+    let (width, height) = flow.size();
+    Plane::from_fn(width, height, |x, y| {
+        let ([u, v], [next_u, next_v]) =
+            (flow.get(x, y), flow.get((x + 1).min(width - 1), (y + 1).min(height - 1)));
+        (next_u - u).hypot(next_v - v)
+    })
+}
+
 fn plan(columns: &[&str]) -> Plan {
     let methods: Vec<String> = METHODS.map(str::to_owned).into();
     let columns: Vec<Column> = columns.iter().map(|column| column.parse().unwrap()).collect();
@@ -35,6 +45,7 @@ fn plan(columns: &[&str]) -> Plan {
         methods,
         most_columns: 10,
         scales: Scales { flow: Scale::Auto, error: Scale::Auto, strain: Scale::Auto },
+        strain,
         arrows: None,
         scores: true,
         letters: false,

@@ -2,10 +2,10 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use maud::{Markup, PreEscaped, html};
 
-use crate::drawing::{Anchor, Drawing, Item, Paint};
-use crate::layout::FigureError;
-use crate::number::number;
-use crate::picture::Png;
+use super::drawing::{Anchor, Drawing, Item, Paint};
+use super::layout::FigureError;
+use super::number::number;
+use super::picture::Png;
 
 /// Fonts with the metrics of Helvetica, the most exact first.
 const FONTS: &str = "Helvetica, Arial, 'Liberation Sans', 'Nimbus Sans', Arimo, sans-serif";

@@ -2,12 +2,12 @@
 
 use std::borrow::Cow;
 
+use crate::shrink_image;
 use srflow_core::excerpt;
-use srflow_eval::report::shrink_image;
 
-use crate::drawing::{Anchor, Area, Drawing, Item, Paint};
-use crate::font::{ASCENT, DESCENT, shortened, width};
-use crate::grid::{Arrow, Figure, Legend, Panel, Row};
+use super::drawing::{Anchor, Area, Drawing, Item, Paint};
+use super::font::{ASCENT, DESCENT, shortened, width};
+use super::grid::{Arrow, Figure, Legend, Panel, Row};
 
 /// Sizes of a figure in points of 1/72 inch.
 #[derive(Debug, Clone, Copy, PartialEq)]

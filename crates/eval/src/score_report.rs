@@ -1,16 +1,12 @@
 //! An evaluation as figures: tables, curves, times, and omitted pairs.
 
-use maud::html;
+use srflow_report::html::{
+    Axis, Bar, Chart, Curve, Figure, Page, Section, bars, curves, facts, number, score_table, side_by_side,
+    titled_facts,
+};
 
-use super::bars::{Bar, bars};
-use super::charts::{Axis, Chart, number};
-use super::curves::{Curve, curves};
-use super::facts::facts;
-use super::panels::side_by_side;
-use super::score_table::score_table;
-use super::{Figure, Page, Section};
 use crate::error_curve::PER_PIXEL;
-use crate::results::{Evaluation, MethodScores};
+use crate::results::{Evaluation, Failure, MethodScores};
 
 /// The tables, curves and times of an evaluation. `machine` describes the machine that the times were measured on.
 pub fn score_figures(evaluation: &Evaluation, machine: &str) -> Vec<Figure> {
@@ -35,7 +31,7 @@ pub fn score_figures(evaluation: &Evaluation, machine: &str) -> Vec<Figure> {
 }
 
 /// The page of one evaluation: its tables and charts, then `pairs`, figures of single pairs from
-/// [`pair_figures`](super::pair_figures), and last `settings`, names and values that reproduce the scores.
+/// [`pair_figures`](crate::pair_figures()), and last `settings`, names and values that reproduce the scores.
 pub fn score_report(
     evaluation: &Evaluation,
     machine: &str,
@@ -149,14 +145,6 @@ fn times(evaluation: &Evaluation, machine: &str) -> Figure {
 }
 
 fn left_out(evaluation: &Evaluation) -> Figure {
-    Figure(html! {
-        figure {
-            div.panel.plain {
-                h3 { "Left out of every row" }
-                dl.facts {
-                    @for failure in &evaluation.failures { dt { (failure.pair) } dd { (failure.reason) } }
-                }
-            }
-        }
-    })
+    let failure = |failure: &Failure| (failure.pair.clone(), failure.reason.clone());
+    titled_facts("Left out of every row", &evaluation.failures.iter().map(failure).collect::<Vec<_>>())
 }

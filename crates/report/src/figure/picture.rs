@@ -3,7 +3,7 @@
 
 use srflow_core::Image;
 
-use crate::layout::FigureError;
+use super::layout::FigureError;
 
 /// A picture as PNG.
 pub struct Png {

@@ -7,7 +7,6 @@ use srflow_core::{
     forward_interpolate,
 };
 
-use srflow_ops::attention::with_attention_tolerance;
 use srflow_ops::{Precision, with_precision};
 
 use crate::shots::is_cut;
@@ -20,7 +19,6 @@ pub struct NetworkEstimator {
     iterations: Iterations,
     device: Device,
     precision: Precision,
-    attention_tolerance: f32,
 }
 
 impl NetworkEstimator {
@@ -32,17 +30,12 @@ impl NetworkEstimator {
         device: Device,
     ) -> Self {
         let (name, iterations) = (name.into(), iterations.into());
-        Self { name, network, iterations, device, precision: Precision::F32, attention_tolerance: 0.0 }
+        Self { name, network, iterations, device, precision: Precision::F32 }
     }
 
     /// The same, multiplying at a precision that its device has; see [`with_precision`].
     pub fn with_precision(self, precision: Precision) -> Self {
         Self { precision, ..self }
-    }
-
-    /// The same, leaving out what attention between all pixels takes little from; see [`with_attention_tolerance`].
-    pub fn with_attention_tolerance(self, attention_tolerance: f32) -> Self {
-        Self { attention_tolerance, ..self }
     }
 
     fn facts(&self) -> &'static Facts {
@@ -118,7 +111,7 @@ impl NetworkEstimator {
         let still_px = self.still_px();
         let request = Request { still_px, start, features: Some(features), memory, ..Request::new(most) };
         let forward = || self.network.forward(frames, &request);
-        with_precision(self.precision, || with_attention_tolerance(self.attention_tolerance, forward))
+        with_precision(self.precision, forward)
     }
 
     /// With which pairs are estimated one by one, so that none refines longer because of another.

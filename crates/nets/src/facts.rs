@@ -118,11 +118,6 @@ impl Facts {
         self.iterations.default > 1
     }
 
-    /// Whether it attends between all pixels, whose weights [`srflow_ops::attention::with_attention_tolerance`] may leave out.
-    pub fn attends(&self) -> bool {
-        self.memory.attending > 0
-    }
-
     /// The names of all networks that use its weights, such as `sea-raft-m and sea-raft-l`.
     pub fn names_of_weights(&self) -> String {
         [&[self.name], self.same_weights].concat().join(" and ")

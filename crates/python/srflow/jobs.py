@@ -181,7 +181,6 @@ def flow(
     iters: str | None = None,
     set: dict[str, Any] | None = None,
     precision: str = "f32",
-    attention_tolerance: float | None = None,
     device: str = "cpu",
     tile: str | None = None,
     tile_overlap: int = 128,
@@ -233,7 +232,6 @@ def flow(
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
-        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
         tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
@@ -698,7 +696,6 @@ def eval(
     iters: str | None = None,
     set: dict[str, Any] | None = None,
     precision: str = "f32",
-    attention_tolerance: float | None = None,
     device: str = "cpu",
     tile: str | None = None,
     tile_overlap: int = 128,
@@ -755,7 +752,6 @@ def eval(
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
-        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
         tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
@@ -819,7 +815,6 @@ def figure(
     iters: str | None = None,
     set: dict[str, Any] | None = None,
     precision: str = "f32",
-    attention_tolerance: float | None = None,
     device: str = "cpu",
     tile: str | None = None,
     tile_overlap: int = 128,
@@ -877,7 +872,6 @@ def figure(
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
-        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
         tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
@@ -925,7 +919,6 @@ def view(
     iters: str | None = None,
     set: dict[str, Any] | None = None,
     precision: str = "f32",
-    attention_tolerance: float | None = None,
     device: str = "cpu",
     tile: str | None = None,
     tile_overlap: int = 128,
@@ -967,7 +960,6 @@ def view(
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
-        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
         tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
@@ -1367,7 +1359,6 @@ def mer_apex(
     iters: str | None = None,
     set: dict[str, Any] | None = None,
     precision: str = "f32",
-    attention_tolerance: float | None = None,
     device: str = "cpu",
     tile: str | None = None,
     tile_overlap: int = 128,
@@ -1415,7 +1406,6 @@ def mer_apex(
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
-        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
         tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
@@ -1465,7 +1455,6 @@ def mer_strain(
     iters: str | None = None,
     set: dict[str, Any] | None = None,
     precision: str = "f32",
-    attention_tolerance: float | None = None,
     device: str = "cpu",
     tile: str | None = None,
     tile_overlap: int = 128,
@@ -1509,7 +1498,6 @@ def mer_strain(
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
-        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
         tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
@@ -1564,7 +1552,6 @@ def mer_features(
     iters: str | None = None,
     set: dict[str, Any] | None = None,
     precision: str = "f32",
-    attention_tolerance: float | None = None,
     device: str = "cpu",
     tile: str | None = None,
     tile_overlap: int = 128,
@@ -1615,7 +1602,6 @@ def mer_features(
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
-        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
         tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
@@ -1683,7 +1669,6 @@ def mer_run(
     iters: str | None = None,
     set: dict[str, Any] | None = None,
     precision: str = "f32",
-    attention_tolerance: float | None = None,
     device: str = "cpu",
     tile: str | None = None,
     tile_overlap: int = 128,
@@ -1745,7 +1730,6 @@ def mer_run(
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
-        attention_tolerance: Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example 0.001. The more sharply a network attends, the faster it is; on the CPU.
         device: Device to compute on; this build has cpu.
         tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
         tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.

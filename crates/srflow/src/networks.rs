@@ -46,10 +46,6 @@ pub struct NetworkArgs {
     /// softmax, norms and flow are always f32
     #[arg(long, value_name = "PRECISION", default_value_t)]
     precision: PrecisionArg,
-    /// Leave out pixels to which attention gives little: of the weights of each pixel, which sum to 1, at most this share, for example
-    /// 0.001. The more sharply a network attends, the faster it is; on the CPU
-    #[arg(long, value_name = "SHARE", value_parser = share)]
-    attention_tolerance: Option<f32>,
     /// Pairs estimated at once, where a command supports it.
     #[arg(skip = 1_usize)]
     #[serde(skip, default = "one")]
@@ -111,15 +107,6 @@ fn opened(name: &str) -> anyhow::Result<Device> {
     }
 }
 
-fn share(text: &str) -> Result<f32, String> {
-    let share: f32 = text.parse().map_err(|_| "expected a number".to_owned())?;
-    if (0.0..1.0).contains(&share) {
-        Ok(share)
-    } else {
-        Err("expected 0 or more, and less than 1".to_owned())
-    }
-}
-
 fn setting(text: &str) -> Result<(String, usize), String> {
     let (name, value) = text.split_once('=').ok_or("expected NAME=VALUE")?;
     let value = value.parse().map_err(|_| format!("{name}: expected a whole number, found `{value}`"))?;
@@ -165,7 +152,6 @@ impl Default for NetworkArgs {
             iters: None,
             set: Vec::new(),
             precision: PrecisionArg::F32,
-            attention_tolerance: None,
             batch: 1,
             device: CPU.to_owned(),
         }
@@ -180,7 +166,6 @@ impl NetworkArgs {
             ("iters", self.iters.is_some()),
             ("set", !self.set.is_empty()),
             ("precision", self.precision != PrecisionArg::F32),
-            ("attention_tolerance", self.attention_tolerance.is_some()),
             ("batch", self.batch > 1),
             ("device", !self.on_cpu()),
         ]
@@ -204,12 +189,6 @@ impl NetworkArgs {
     /// When the device does not exist, or does not multiply it.
     pub fn precision(&self) -> anyhow::Result<Precision> {
         self.precision.on(&self.device)
-    }
-
-    /// How much of the weights of a pixel a network leaves out; zero for one without attention between all pixels.
-    pub fn attention_tolerance(&self, architecture: Architecture) -> f32 {
-        let attends = architecture.facts().attends();
-        self.attention_tolerance.filter(|_| attends).unwrap_or_default()
     }
 
     /// Refinement iterations of a network, at most; 1 for one that does not refine.
@@ -273,23 +252,6 @@ impl NetworkArgs {
                 "`iters` is for networks that refine their flow, and not for {}: leave it out",
                 names()
             );
-        }
-        if self.attention_tolerance.is_some() {
-            let attending = Architecture::ALL.into_iter().filter(|network| network.facts().attends());
-            let attending: Vec<Architecture> = attending.collect();
-            if !networks.iter().any(|network| attending.contains(network)) {
-                let attending = attending.iter().map(|network| network.name()).collect::<Vec<_>>().join(", ");
-                wrong_settings!(
-                    "`attention_tolerance` is for networks with attention between all pixels ({attending}), and not for {}: leave it out",
-                    names()
-                );
-            }
-            if !self.on_cpu() {
-                wrong_settings!(
-                    "`attention_tolerance` works on the CPU, not with `device` {}: leave it out",
-                    self.device
-                );
-            }
         }
         let own: Vec<_> = networks.iter().map(|network| self.settings(*network)).collect::<Result<_, _>>()?;
         for (name, _) in &self.set {
@@ -362,9 +324,7 @@ impl NetworkArgs {
         };
         self.set(&mut network)?;
         let iterations = self.refinement(architecture).scaled(scale);
-        let estimator = NetworkEstimator::new(label, network, iterations, device);
-        let tolerance = self.attention_tolerance(architecture);
-        Ok(estimator.with_precision(precision).with_attention_tolerance(tolerance))
+        Ok(NetworkEstimator::new(label, network, iterations, device).with_precision(precision))
     }
 }
 

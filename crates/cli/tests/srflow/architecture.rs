@@ -9,7 +9,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 23] = [
+const PIPELINE: [&str; 24] = [
     "srflow-no-clap",
     "srflow-simd",
     "srflow-core",

@@ -118,20 +118,6 @@ fn products_of_bfloat16_change_the_flow_a_little() {
     assert!(far > 0.0 && far < 0.1 * long, "{far} px apart of {long}");
 }
 
-#[test]
-fn what_attention_leaves_out_changes_the_flow_a_little() {
-    // At twice the size, since nothing is left out of few pixels.
-    let of = |tolerance: &str, out: &str| {
-        let method = ["flow", "--method", "memflow=memflow.safetensors", "--iters", "2", "--scale", "2"];
-        let pair = ["video/0.png", "video/1.png", "-o", out, "--json", "--attention-tolerance", tolerance];
-        json(&srflow(&[&method[..], &pair].concat()))["network"]["attention_tolerance"].clone()
-    };
-    assert!(of("0", "pair/all.flo").is_null());
-    assert_eq!(of("0.125", "pair/part.flo"), 0.125);
-    let (far, long) = compare(&read("pair/all.flo"), &read("pair/part.flo"));
-    assert!(far > 0.0 && far < 0.1 * long, "{far} px apart of {long}");
-}
-
 /// In a file beside the flow of a pair, and in a folder along a sequence, with pictures if the flow has them.
 #[test]
 fn uncertainty_is_written_beside_the_flow() {
@@ -363,16 +349,6 @@ fn errors_name_the_problem() {
     refused(&with(one, &["--device", "cpu:7"]), 2, &["--device", "cpu:7"]);
     refused(&with(one, &["--precision", "half"]), 2, &["--precision", "f32, f16, bf16, auto"]);
     refused(&with(one, &["--precision", "f16"]), 2, &["--precision", "--device cpu", "it has f32, bf16"]);
-    let attending =
-        ["--attention-tolerance is for networks with attention", "gma, skflow", "not for raft-small"];
-    refused(&with(one, &["--attention-tolerance", "0.001"]), 2, &attending);
-    for wrong in ["=1", "=-0.1", "=nan", "=x"].map(|value| format!("--attention-tolerance{value}")) {
-        refused(
-            &["--method", "raft-small=one.safetensors", &wrong],
-            2,
-            &["--attention-tolerance", "expected"],
-        );
-    }
     refused(&["--method", "tvl1", "--precision", "bf16"], 2, &["--precision is for networks"]);
     refused(&with(one, &["--tile", "64x64"]), 2, &["128 pixels"]);
     refused(&with(one, &["--tile", "large"]), 2, &["WIDTHxHEIGHT in pixels, or auto"]);

@@ -3,7 +3,7 @@
 //! Pairs are computed in blocks that stay in cache. The largest score of each pixel and the sum of its exponentials are
 //! computed once; after that, a pass over values needs each pair once, and so do the gradients. As many weights as the memory
 //! limit allows are kept, since the networks apply the same weights to different values many times. Where they are applied
-//! once, [`windowed_attention`] computes each pair once. [`with_attention_tolerance`] leaves out pairs of little weight.
+//! once, [`windowed_attention`] computes each pair once.
 //! [`mod@reference`] is the definition.
 
 use srflow_simd::Isa;
@@ -15,7 +15,6 @@ use crate::precision::cpu_precision;
 
 mod backward;
 mod composed;
-mod concentrated;
 mod panels;
 mod recomputed;
 pub mod reference;
@@ -24,7 +23,6 @@ pub mod tensor;
 mod weights;
 mod windows;
 
-pub use concentrated::with_attention_tolerance;
 pub use windows::{Windows, windowed_attention, windowed_attention_backward};
 
 /// Calls `of` with queries, keys and the `others` of each image.

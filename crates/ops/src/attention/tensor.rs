@@ -1,6 +1,5 @@
 //! Attention on tensors, with gradients: [`attention`], and [`Attention`] for weights that are used many times.
 
-use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -10,7 +9,6 @@ use srflow_simd::Isa;
 
 use super::backward::Gathered;
 use super::composed::ImagePieces;
-use super::concentrated::{StripOrder, attention_tolerance};
 use super::image;
 use super::recomputed::{GatherInPieces, LogSumsInPieces};
 use super::weights::AttentionWeights;
@@ -27,36 +25,19 @@ const PIECE_BYTES: usize = 64 << 20;
 #[derive(Debug, Clone)]
 struct Prepared {
     kept_bytes: usize,
-    /// Of the weights of a pixel, how much may be left out.
-    tolerance: f32,
     images: Arc<OnceLock<Images>>,
     /// Values, what was gathered of them and its gradient, of every gathering whose gradient has come.
     gathered: Arc<Mutex<Vec<[CpuTensor; 3]>>>,
 }
 
-/// The pixels of queries, keys and weights are in an order of their own, if there is one.
 #[derive(Debug)]
 struct Images {
     queries: CpuTensor,
     keys: CpuTensor,
     weights: Vec<AttentionWeights>,
-    order: Option<StripOrder>,
 }
 
 impl Images {
-    /// Channels of an image in the order of the weights.
-    fn ordered<'a>(&self, image: &'a [f32]) -> Cow<'a, [f32]> {
-        self.order.as_ref().map_or(Cow::Borrowed(image), |order| Cow::Owned(order.ordered(image)))
-    }
-
-    /// Back from [`Self::ordered`].
-    fn restored(&self, ordered: Vec<f32>) -> Vec<f32> {
-        match &self.order {
-            Some(order) => order.restored(&ordered),
-            None => ordered,
-        }
-    }
-
     /// `of` the queries, the keys, the weights and the number of each image.
     fn map<T: Send>(&self, of: impl Fn([&[f32]; 2], &AttentionWeights, usize) -> T + Sync) -> Vec<T> {
         let (queries, keys) = (self.queries.slice(), self.keys.slice());
@@ -68,8 +49,8 @@ impl Images {
 }
 
 impl Prepared {
-    fn new(kept_bytes: usize, tolerance: f32) -> Self {
-        Self { kept_bytes, tolerance, images: Arc::default(), gathered: Arc::default() }
+    fn new(kept_bytes: usize) -> Self {
+        Self { kept_bytes, images: Arc::default(), gathered: Arc::default() }
     }
 
     fn images(&self) -> &Images {
@@ -95,21 +76,15 @@ impl Operation<2> for Weigh {
         let precision = cpu_precision();
         let images = prepared.images.get_or_init(|| {
             let kept_bytes = prepared.kept_bytes / batch;
-            let order = (prepared.tolerance > 0.0).then(|| StripOrder::of([height, width]));
-            let [queries, keys] = [queries, keys].map(|tensor| match &order {
-                Some(order) => tensor.like(order.ordered(tensor.slice())),
-                None => tensor,
-            });
             let (q, k) = (queries.slice(), keys.slice());
             let weights = |n| {
                 let pair = [image(q, batch, n), image(k, batch, n)];
-                let weights = AttentionWeights::new(Isa::best(), precision, pair, height * width, kept_bytes);
-                if order.is_some() { weights.within(prepared.tolerance) } else { weights }
+                AttentionWeights::new(Isa::best(), precision, pair, height * width, kept_bytes)
             };
             let weights = (0..batch).into_par_iter().map(weights).collect();
-            Images { weights, queries, keys, order }
+            Images { weights, queries, keys }
         });
-        let log_sums = images.weights.iter().flat_map(|weights| images.restored(weights.log_sums()));
+        let log_sums = images.weights.iter().flat_map(AttentionWeights::log_sums);
         vec![CpuTensor::new(log_sums.collect(), [batch, 1, height, width])]
     }
 
@@ -154,9 +129,7 @@ impl Operation<2> for Gather {
         let [batch, _, _, _] = values.dims();
         let all = values.slice();
         let images = self.0.images();
-        let gather = |(n, weights): (usize, &AttentionWeights)| {
-            images.restored(weights.gather(&images.ordered(image(all, batch, n))))
-        };
+        let gather = |(n, weights): (usize, &AttentionWeights)| weights.gather(image(all, batch, n));
         let gathered: Vec<Vec<f32>> = images.weights.par_iter().enumerate().map(gather).collect();
         vec![values.like(gathered.concat())]
     }
@@ -169,8 +142,7 @@ impl Operation<2> for Gather {
         let of_output = grad.slice();
         let images = prepared.images();
         let of_values = images.map(|[queries, keys], weights, n| {
-            let grad = images.ordered(image(of_output, batch, n));
-            images.restored(weights.gather_backward(queries, keys, &grad))
+            weights.gather_backward(queries, keys, image(of_output, batch, n))
         });
         let of_values = values.like(of_values.concat());
         if collect {
@@ -209,10 +181,7 @@ impl Attention {
         }
         let (size, autodiff) = Self::check(&queries, &keys);
         // The gradients of values want their weights in another order: half for each.
-        let prepared = match autodiff {
-            true => Prepared::new(kept_bytes / 2, 0.0),
-            false => Prepared::new(kept_bytes, attention_tolerance()),
-        };
+        let prepared = Prepared::new(if autodiff { kept_bytes / 2 } else { kept_bytes });
         let log_sums = apply(Weigh(prepared.clone()), [queries.into_dispatch(), keys.into_dispatch()]);
         Self { size, way: Way::Kernel { log_sums: Box::new(log_sums), prepared } }
     }

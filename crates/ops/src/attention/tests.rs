@@ -1,7 +1,6 @@
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Tensor;
 use srflow_simd::{Precision, panel_columns};
 
-use super::concentrated::StripOrder;
 use super::*;
 use crate::operation::{array, tests::Case};
 use crate::test_values::{assert_close, assert_within, largest, values, wide, with_threads};
@@ -384,96 +383,4 @@ fn attention_at_bfloat16_is_near_the_definition_and_the_same_everywhere() {
             assert!(gather(isa, kept_bytes) == first, "{isa:?}, {kept_bytes} bytes allowed");
         }
     }
-}
-
-/// Each query looks at one place in the image, with some queries less sharply than others.
-fn concentrated([height, width]: [usize; 2], sharpness: f32) -> [Vec<f32>; 2] {
-    let pixels = height * width;
-    let place = |of: fn(f32, f32) -> f32| -> Vec<f32> {
-        (0..pixels)
-            .map(|i| of((i / width) as f32 / height as f32, (i % width) as f32 / width as f32))
-            .collect()
-    };
-    // -|place - place'|^2 = 2 place . place' - |place'|^2, but for what is the same for all keys.
-    let queries = [place(|y, _| y), place(|_, x| x), vec![-0.5; pixels]].concat();
-    let keys = [place(|y, _| y), place(|_, x| x), place(|y, x| y * y + x * x)].concat();
-    let sharp = |(i, query): (usize, f32)| query * sharpness * (0.5 + (i % pixels) as f32 / pixels as f32);
-    [queries.into_iter().enumerate().map(sharp).collect(), keys]
-}
-
-#[test]
-fn what_attention_leaves_out_changes_it_by_no_more_than_the_tolerance() {
-    let sides @ [height, width] = [43, 61];
-    let pixels = height * width;
-    let [queries, keys] = concentrated(sides, 3000.0);
-    let values = values(VALUE_CHANNELS * pixels, 3);
-    let largest = values.iter().fold(0.0_f32, |largest, x| largest.max(x.abs()));
-    let order = StripOrder::of(sides);
-    let [q, k, v] = [&queries, &keys, &values].map(|image| order.ordered(image));
-    assert!(order.restored(&q) == queries);
-    let expected = reference::attention(&wide(&q), &wide(&k), &wide(&v), pixels);
-    for (isa, precision) in Isa::to_test().flat_map(|isa| [(isa, Precision::F32), (isa, Precision::Bf16)]) {
-        for kept_bytes in [0, usize::MAX] {
-            let weights = || AttentionWeights::new(isa, precision, [&q, &k], pixels, kept_bytes);
-            let whole = weights().gather(&v);
-            let mut fewest = usize::MAX;
-            for tolerance in [0.0, 1e-5, 1e-3, 0.1] {
-                let weights = weights().within(tolerance);
-                let what =
-                    format!("{isa:?}, {precision:?}, {kept_bytes} bytes allowed, tolerance {tolerance}");
-                let found = weights.gather(&v);
-                assert_within(&what, &found, &wide(&whole), f64::from(tolerance * largest) + 1e-6);
-                // Scores of thousands are rounded before they are exponents, at bfloat16 by whole units.
-                if precision == Precision::F32 {
-                    assert_within(&what, &found, &expected, f64::from(tolerance * largest) + 5e-4);
-                }
-                let gathered: usize = weights.gathered.iter().flatten().map(Vec::len).sum();
-                assert!(gathered <= fewest, "{what}");
-                fewest = gathered;
-            }
-            let all = panels::blocks(pixels).count() * panels::Group::count(isa, pixels);
-            assert!(fewest < all / 2, "{fewest} of {all} blocks, {isa:?}");
-        }
-    }
-}
-
-/// As a network does it: by the image, and without gradients.
-#[test]
-fn attention_within_a_tolerance_has_the_order_of_the_image() {
-    let [height, width] = [37, 45];
-    let pixels = height * width;
-    let image = |numbers: Vec<f32>| {
-        let channels = numbers.len() / pixels;
-        Tensor::<4>::from_data(
-            burn::tensor::TensorData::new(numbers, [1, channels, height, width]),
-            &Device::flex(),
-        )
-    };
-    let [queries, keys] = concentrated([height, width], 3000.0).map(image);
-    let values = image(values(VALUE_CHANNELS * pixels, 3));
-    let attend = |[queries, keys, values]: [Tensor<4>; 3]| {
-        let attention = tensor::Attention::new(queries, keys, 0);
-        Tensor::cat(vec![attention.gather(values), attention.log_sums()], 1)
-    };
-    let numbers = |tensor: Tensor<4>| tensor.into_data().try_to_vec::<f32>().expect("f32");
-    let inputs = [queries, keys, values];
-    let exact = numbers(attend(inputs.clone()));
-    let near = with_attention_tolerance(1e-3, || numbers(attend(inputs.clone())));
-    assert_within("within the tolerance", &near, &wide(&exact), 2e-3);
-    assert!(near != exact, "something was left out");
-    let tracked = inputs.map(|input| input.autodiff().require_grad());
-    let with_gradients = with_attention_tolerance(1e-3, || numbers(attend(tracked).inner()));
-    assert!(with_gradients == exact, "nothing is left out with gradients");
-}
-
-#[test]
-fn pixels_of_not_a_number_are_not_left_out() {
-    let pixels = 3 * panels::BLOCK;
-    let [mut queries, keys] = concentrated([16, 48], 3000.0);
-    queries[5] = f32::NAN;
-    let weights =
-        AttentionWeights::new(Isa::best(), Precision::F32, [&queries, &keys], pixels, 0).within(0.1);
-    let gathered = weights.gather(&vec![1.0; pixels]);
-    assert!(gathered[5].is_nan());
-    assert_eq!(weights.gathered.expect("chosen")[0].len(), 3, "all blocks for the group of that query");
 }

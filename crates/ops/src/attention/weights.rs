@@ -22,8 +22,6 @@ pub(crate) struct AttentionWeights {
     by_query: Side,
     /// For the gradients of values.
     by_key: OnceLock<Side>,
-    /// The blocks of keys that each group of queries gathers from; all of them unless given. The first is always there.
-    pub(super) gathered: Option<Vec<Vec<(usize, usize)>>>,
 }
 
 /// The softmax statistics of each query, in whole panels.
@@ -223,7 +221,7 @@ impl AttentionWeights {
             },
         );
         let by_query = Side::new(scores, Queries::InColumns).keeping(&sums, pixels, kept_bytes);
-        Self { isa, precision, pixels, sums, kept_bytes, by_query, by_key: OnceLock::new(), gathered: None }
+        Self { isa, precision, pixels, sums, kept_bytes, by_query, by_key: OnceLock::new() }
     }
 
     /// Of sums that are known; nothing is kept.
@@ -236,16 +234,7 @@ impl AttentionWeights {
     ) -> Self {
         let scores = Pairs::new(isa, precision, queries, keys, pixels);
         let by_query = Side::new(scores, Queries::InColumns);
-        Self {
-            isa,
-            precision,
-            pixels,
-            sums,
-            kept_bytes: 0,
-            by_query,
-            by_key: OnceLock::new(),
-            gathered: None,
-        }
+        Self { isa, precision, pixels, sums, kept_bytes: 0, by_query, by_key: OnceLock::new() }
     }
 
     /// `ln sum_j exp(q_i . k_j)` for each pixel.
@@ -258,12 +247,12 @@ impl AttentionWeights {
     /// The weighted sum of `values` (`[channels, pixels]`) for each pixel, likewise `[channels, pixels]`. Panics when the length
     /// of the slice does not match.
     pub(crate) fn gather(&self, values: &[f32]) -> Vec<f32> {
-        self.gather_from(&self.by_query, values, self.gathered.as_deref())
+        self.gather_from(&self.by_query, values)
     }
 
     /// The gradient of the values, given that of the output. Queries and keys are those of [`Self::new`].
     pub(crate) fn gather_backward(&self, queries: &[f32], keys: &[f32], grad: &[f32]) -> Vec<f32> {
-        self.gather_from(self.by_key.get_or_init(|| self.new_by_key(queries, keys)), grad, None)
+        self.gather_from(self.by_key.get_or_init(|| self.new_by_key(queries, keys)), grad)
     }
 
     fn new_by_key(&self, queries: &[f32], keys: &[f32]) -> Side {
@@ -305,13 +294,7 @@ impl AttentionWeights {
         (scratch, step)
     }
 
-    /// From the blocks of each group, or all.
-    fn gather_from(
-        &self,
-        side: &Side,
-        values: &[f32],
-        of_groups: Option<&[Vec<(usize, usize)>]>,
-    ) -> Vec<f32> {
+    fn gather_from(&self, side: &Side, values: &[f32]) -> Vec<f32> {
         let Self { isa, precision, pixels, .. } = *self;
         assert!(values.len().is_multiple_of(pixels), "values of {pixels} pixels");
         let values = ChannelsAsRows::new(isa, precision, values, pixels, BLOCK);
@@ -319,11 +302,9 @@ impl AttentionWeights {
         let width = panel_columns(isa);
         let sizes = [1, values.channels, pixels];
         let scratch = || Scratch::of(PANELS * BLOCK * width);
-        let all: Vec<(usize, usize)> = blocks(pixels).collect();
         fill_columns(isa, sizes, PANELS * width, scratch, |scratch, _, own, out| {
-            let number = own.start / (PANELS * width);
-            let group = Group::of(isa, number, pixels);
-            for &block in of_groups.map_or(&all, |of_groups| &of_groups[number]) {
+            let group = Group::of(isa, own.start / (PANELS * width), pixels);
+            for block in blocks(pixels) {
                 let (weights, step) = self.of_block(side, group, block, scratch);
                 gathering.add(group, block, weights, step, out);
             }

@@ -180,9 +180,6 @@ pub struct NetworkUsed {
     pub device: String,
     /// The precision of products; where it was `auto`, the chosen one.
     pub precision: &'static str,
-    /// What attention may leave out of the weights of a pixel.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub attention_tolerance: Option<f32>,
     pub batch: usize,
     pub warm_start: bool,
 }
@@ -452,8 +449,6 @@ fn estimate(job: &FlowJob, watch: &Watch) -> anyhow::Result<SequenceReport> {
                 },
                 device: network.device.clone(),
                 precision: network.precision()?.name(),
-                attention_tolerance: Some(network.attention_tolerance(architecture))
-                    .filter(|&share| share > 0.0),
                 batch: network.batch,
                 warm_start: job.warm_start,
             }),

@@ -103,10 +103,6 @@ fn of_network(network: &NetworkArgs, architecture: Architecture) -> anyhow::Resu
     if precision != Precision::F32 {
         text += &format!(" at {}", precision.name());
     }
-    let tolerance = network.attention_tolerance(architecture);
-    if tolerance > 0.0 {
-        text += &format!(", attention within {tolerance}");
-    }
     let own = network.settings(architecture)?;
     for (name, value) in &own {
         text += &format!(", {name}={value}");
@@ -116,7 +112,6 @@ fn of_network(network: &NetworkArgs, architecture: Architecture) -> anyhow::Resu
         "still_px": still_px,
         "device": network.device,
         "precision": precision.name(),
-        "attention_tolerance": tolerance,
         "own": own,
     });
     Ok((text, settings))

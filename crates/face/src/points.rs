@@ -48,6 +48,15 @@ impl FacePoints {
         Ok(FaceBox { left, top, width: across, height: down })
     }
 
+    /// From the points of MediaPipe's mesh nearest to dlib's. The eyes are midway between their corners, which blinks do not move.
+    /// `None` as in [`Self::of`].
+    pub(crate) fn of_mesh_table(points: &[[f64; 2]]) -> Option<Self> {
+        let mut face = Self::of(points)?;
+        let middle = |a: usize, b: usize| [0, 1].map(|axis| (points[a][axis] + points[b][axis]) / 2.0);
+        face.eyes = [middle(36, 39), middle(42, 45)];
+        (distance(face.eyes) >= 1.0).then_some(face)
+    }
+
     /// From the 468 points of MediaPipe's face mesh: those that are nearest to dlib's.
     pub(crate) fn of_mesh(mesh: &[[f64; 2]]) -> Option<Self> {
         let nearest: Option<Vec<_>> =

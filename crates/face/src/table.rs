@@ -2,83 +2,79 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_core::excerpt;
-use srflow_files::{FileKind, open_file, read_file, write_atomically};
+use srflow_files::{FileKind, FileProblem, PointSet, PointTable, read_file, write_atomically};
 
 use crate::{FaceError, FacePoints};
 
-/// Larger coordinates, in pixels, are not in any frame of a face.
-const MAX_COORDINATE: f64 = 65_536.0;
-
-/// Faces from a CSV file, one in each row: dlib's 68 points as `x_0 y_0 .. x_67 y_67` (as OpenFace writes them) or the eyes alone as
-/// `left_eye_x left_eye_y right_eye_x right_eye_y`, left and right as the picture shows them; and columns that say whose they are.
+/// Faces from a CSV file, one in each row: the points of a [`PointTable`] in pixels, and columns that say whose they are.
+///
+/// Eyes are left and right as the picture shows them; where a row has them the other way round, as the subject's own, they are swapped.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LandmarkTable {
     path: PathBuf,
     rows: Vec<LandmarkRow>,
+    swapped: usize,
 }
 
-/// A face of a [`LandmarkTable`].
+/// A row of a [`LandmarkTable`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct LandmarkRow {
     /// Line of the file, from 1.
     pub line: usize,
     /// Cells of the columns that were asked for, in their order; empty where the file lacks the column.
     pub keys: Vec<String>,
-    pub face: FacePoints,
+    /// `None` where the program that wrote the file found no face.
+    pub face: Option<FacePoints>,
 }
 
 impl LandmarkTable {
     /// Reads the file. Of the columns beside the points, it must have those in `needed`; those in `optional` may be missing.
     ///
     /// # Errors
-    /// When it cannot be read, lacks columns, or holds something other than places in a frame.
+    /// When it cannot be read, lacks columns, or holds something other than places in a frame in pixels.
     pub fn read(path: &Path, needed: &[&str], optional: &[&str]) -> Result<Self, FaceError> {
-        let wrong = |reason: String| FaceError::Landmarks { path: path.to_owned(), reason };
-        let mut reader =
-            csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(open_file(path, FileKind::Table)?.0);
-        let headers = reader.headers().map_err(|error| wrong(error.to_string()))?.clone();
-        let column = |name: &str| headers.iter().position(|header| header.eq_ignore_ascii_case(name));
-        let must = |name: &str| {
-            column(name).ok_or_else(|| {
-                let points =
-                    "x_0, y_0 to x_67, y_67 (or left_eye_x, left_eye_y, right_eye_x, right_eye_y)".to_owned();
-                let mut all: Vec<String> = needed.iter().map(|name| (*name).to_owned()).collect();
-                all.push(points);
-                let (last, first) = all.split_last().expect("the points");
-                let and = if first.is_empty() { "" } else { " and " };
-                wrong(format!("expected the columns {}{and}{last}, found no {name}", first.join(", ")))
-            })
-        };
-        let mut keys = needed.iter().map(|name| must(name).map(Some)).collect::<Result<Vec<_>, _>>()?;
-        keys.extend(optional.iter().map(|name| column(name)));
-        let point = |x: &str, y: &str| Ok::<_, FaceError>([must(x)?, must(y)?]);
-        let points = if column("x_0").is_some() {
-            (0..68).map(|n| point(&format!("x_{n}"), &format!("y_{n}"))).collect::<Result<Vec<_>, _>>()?
-        } else {
-            vec![point("left_eye_x", "left_eye_y")?, point("right_eye_x", "right_eye_y")?]
-        };
-
+        let mut table = PointTable::read(path, needed, optional)?.in_pixels()?;
         let mut rows = Vec::new();
-        for (line, record) in (2..).zip(reader.records()) {
-            let record = record.map_err(|error| wrong(error.to_string()))?;
-            let coordinate = |at: usize| match record[at].parse::<f64>() {
-                Ok(value) if value.abs() <= MAX_COORDINATE => Ok(value),
-                _ => Err(wrong(format!(
-                    "row {line}, {}: expected a place in a frame, in pixels, found `{}`",
-                    excerpt(&headers[at]),
-                    excerpt(&record[at])
-                ))),
+        let mut swapped = 0;
+        for row in std::mem::take(&mut table.rows) {
+            let face = match table.whole_face(&row)? {
+                None => None,
+                Some(mut points) => {
+                    if let (PointSet::Eyes, [left, right]) = (table.set, &mut points[..])
+                        && left[0] > right[0]
+                    {
+                        std::mem::swap(left, right);
+                        swapped += 1;
+                    }
+                    let face = match table.set {
+                        PointSet::MediaPipe => FacePoints::of_mesh_table(&points),
+                        PointSet::Eyes | PointSet::Dlib => FacePoints::of(&points),
+                    };
+                    let problem = || FileProblem::Cell {
+                        row: row.line,
+                        column: "eyes".to_owned(),
+                        expected: "eyes in two places; leave the row out".to_owned(),
+                        found: "the same place".to_owned(),
+                    };
+                    Some(face.ok_or_else(|| problem().in_file(path))?)
+                }
             };
-            let read = |[x, y]: &[usize; 2]| Ok([coordinate(*x)?, coordinate(*y)?]);
-            let read: Vec<[f64; 2]> = points.iter().map(read).collect::<Result<_, FaceError>>()?;
-            let face = FacePoints::of(&read).ok_or_else(|| {
-                wrong(format!("row {line}: the eyes are in the same place; leave the row out"))
-            })?;
-            let cell = |column: &Option<usize>| column.map_or("", |at| &record[at]).to_owned();
-            rows.push(LandmarkRow { line, keys: keys.iter().map(cell).collect(), face });
+            rows.push(LandmarkRow { line: row.line, keys: row.keys, face });
         }
-        Ok(Self { path: path.to_owned(), rows })
+        Ok(Self { path: path.to_owned(), rows, swapped })
+    }
+
+    /// What the user should know about how the file was read.
+    pub fn note(&self) -> Option<String> {
+        let Self { path, rows, swapped } = self;
+        (*swapped > 0).then(|| {
+            format!(
+                "{}: left_eye is to the right of right_eye in {swapped} of {} rows: they are taken as the subject's left and \
+                 right, and swapped to those of the picture",
+                path.display(),
+                rows.len()
+            )
+        })
     }
 
     pub fn path(&self) -> &Path {
@@ -88,11 +84,31 @@ impl LandmarkTable {
     /// The face of the first row whose keys begin with this one.
     ///
     /// # Errors
-    /// When there is no such row.
+    /// When there is no such row, or it has no face.
     pub fn of(&self, key: &str) -> Result<&FacePoints, FaceError> {
         let row = self.rows.iter().find(|row| row.keys.first().is_some_and(|found| found == key));
-        let missing = || FaceError::NoLandmarks { path: self.path.clone(), of: key.to_owned() };
-        row.map(|row| &row.face).ok_or_else(missing)
+        row.and_then(|row| row.face.as_ref()).ok_or_else(|| self.no_landmarks(key.to_owned(), row))
+    }
+
+    /// The first row with a face.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn first(&self) -> Result<(&LandmarkRow, &FacePoints), FaceError> {
+        let mut faces = self.rows.iter().filter_map(|row| Some((row, row.face.as_ref()?)));
+        faces.next().ok_or_else(|| {
+            let found = match self.rows.len() {
+                0 => "none".to_owned(),
+                count => format!("{count} in which the program that wrote the file found no face"),
+            };
+            FileProblem::field("rows", "a row of landmarks", found).in_file(&self.path).into()
+        })
+    }
+
+    /// An error about a face that is not in the file, or in a row without one.
+    pub fn no_landmarks(&self, of: String, row: Option<&LandmarkRow>) -> FaceError {
+        let failed = |row: &LandmarkRow| format!("{of} (in row {} the tracker found no face)", row.line);
+        FaceError::NoLandmarks { path: self.path.clone(), of: row.map_or_else(|| of.clone(), failed) }
     }
 
     pub fn rows(&self) -> &[LandmarkRow] {
@@ -161,7 +177,7 @@ mod tests {
         let table = LandmarkTable::read(&path, &["clip"], &["frame", "dataset"]).unwrap();
         assert_eq!(
             table.rows(),
-            [LandmarkRow { line: 2, keys: ["a, b", "7", ""].map(String::from).into(), face }]
+            [LandmarkRow { line: 2, keys: ["a, b", "7", ""].map(String::from).into(), face: Some(face) }]
         );
     }
 
@@ -185,5 +201,46 @@ mod tests {
             assert!(error.contains(expected), "{error}");
         }
         assert!(read("x_0\n", &[]).unwrap_err().to_string().contains("expected the columns x_0, y_0 to"));
+    }
+
+    #[test]
+    fn faces_of_mediapipe_have_the_eyes_between_their_corners() {
+        let mut points = [[30.0, 50.0]; 478];
+        let corners = [(33, [18.0, 20.0]), (133, [26.0, 20.0]), (362, [38.0, 20.0]), (263, [46.0, 20.0])];
+        for (point, place) in corners {
+            points[point] = place;
+        }
+        let columns = |axis: &str| (0..478).map(|n| format!("{axis}_{n}")).collect::<Vec<_>>().join(",");
+        let cells = |axis: usize| points.map(|point| point[axis].to_string()).join(",");
+        let text = format!("{},{}\n{},{}\n", columns("x"), columns("y"), cells(0), cells(1));
+        let table = read(&text, &[]).unwrap();
+        let (_, face) = table.first().unwrap();
+        assert_eq!(face.eyes, [[22.0, 20.0], [42.0, 20.0]]);
+        assert_eq!(face.dlib.as_ref().map(|points| points[30]), Some([30.0, 50.0]));
+    }
+
+    #[test]
+    fn eyes_named_as_the_subjects_are_swapped_with_a_note() {
+        let eyes = "left_eye_x,left_eye_y,right_eye_x,right_eye_y";
+        let table = read(&format!("{eyes}\n40,21,22,20\n22,20,40,21\n"), &[]).unwrap();
+        for row in table.rows() {
+            assert_eq!(row.face.as_ref().unwrap().eyes, [[22.0, 20.0], [40.0, 21.0]]);
+        }
+        let note = table.note().unwrap();
+        assert!(note.contains("landmarks.csv: left_eye is to the right") && note.contains("1 of 2 rows"), "{note}");
+        assert_eq!(read(&format!("{eyes}\n22,20,40,21\n"), &[]).unwrap().note(), None);
+    }
+
+    #[test]
+    fn rows_without_a_face_are_not_used() {
+        let eyes = "pair,success,left_eye_x,left_eye_y,right_eye_x,right_eye_y";
+        let table = read(&format!("{eyes}\na,0,0,0,0,0\nb,1,10,10,50,10\n"), &["pair"]).unwrap();
+        assert_eq!(table.first().map(|(row, _)| row.line).unwrap(), 3);
+        let error = table.of("a").unwrap_err().to_string();
+        assert!(error.contains("no landmarks of a (in row 2 the tracker found no face)"), "{error}");
+        let none = read(&format!("{eyes}\na,0,0,0,0,0\n"), &["pair"]).unwrap().first().unwrap_err().to_string();
+        assert!(none.contains("expected a row of landmarks, found 1 in which"), "{none}");
+        let hole = read(&format!("{eyes}\na,1,10,10,,10\n"), &["pair"]).unwrap_err().to_string();
+        assert!(hole.contains("row 2, right_eye_x: expected a place in a frame"), "{hole}");
     }
 }

@@ -47,6 +47,15 @@ pub enum FileProblem {
         expected: String,
         found: String,
     },
+    /// A cell of a table has an unexpected value.
+    #[error("row {row}, {}: expected {expected}, found `{}`", excerpt(.column), excerpt(.found))]
+    Cell {
+        /// Line of the file, from 1.
+        row: usize,
+        column: String,
+        expected: String,
+        found: String,
+    },
     /// The format cannot represent the value of a pixel.
     #[error("pixel ({x}, {y}): expected {expected}, found {found}")]
     Pixel { x: usize, y: usize, expected: &'static str, found: String },

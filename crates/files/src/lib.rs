@@ -3,12 +3,14 @@
 
 mod atomic_write;
 mod codec;
+mod csv_table;
 mod file_bytes;
 mod file_error;
 mod image_file;
 mod json_lines;
 mod open;
 mod parse_words;
+mod point_table;
 mod run_folder;
 mod run_lock;
 mod settings;
@@ -22,6 +24,7 @@ pub use codec::npz::{Npz, NpzArray, write_npz};
 pub use codec::{
     FlowFormat, encode_flow, encode_flow_half, read_flow, read_flow_as, write_flow, write_flow_as,
 };
+pub use csv_table::{CsvRow, CsvTable, whole_number};
 pub use file_bytes::FileBytes;
 pub use file_error::{FileError, FileProblem};
 pub use image_file::{
@@ -31,6 +34,7 @@ pub use image_file::{
 pub use json_lines::{JsonLines, read_json_lines};
 pub use open::{FileKind, open_file, read_file, read_text};
 pub use parse_words::parse_error_in_words;
+pub use point_table::{PointRow, PointSet, PointTable};
 pub use run_folder::{RUN_CONFIG, RunFolder, RunFolderError, RunMode, read_run_log};
 pub use run_lock::{LockError, RunLock};
 pub use settings::{Preset, SettingsError, parse_settings, read_settings, settings_text, with_setting};

@@ -8,10 +8,9 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use srflow_core::excerpt;
 use srflow_data::micro_expression::{Annotation, Clip};
 use srflow_face::{FaceBox, FaceError, FaceFinder, FacePoints, FrameCrop, LandmarkTable, write_landmarks};
-use srflow_files::read_image;
+use srflow_files::{FileProblem, read_image, whole_number};
 
 use crate::extract_error::{ExtractError, ExtractProblem};
 
@@ -35,6 +34,7 @@ pub enum FaceCrop {
 pub struct Landmarks {
     path: PathBuf,
     clips: BTreeMap<ClipName, Vec<Row>>,
+    note: Option<String>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -49,7 +49,8 @@ struct ClipName {
 struct Row {
     /// `None` if the file has no such column.
     frame: Option<u64>,
-    face: FacePoints,
+    /// `None` where the program that wrote the file found no face.
+    face: Option<FacePoints>,
 }
 
 /// Columns of the file beside the points.
@@ -63,18 +64,15 @@ impl Landmarks {
     /// When it cannot be read, lacks columns, or holds something other than numbers.
     pub fn read(path: &Path) -> Result<Self, FaceError> {
         let table = LandmarkTable::read(path, &NEEDED, &OPTIONAL)?;
-        let mut landmarks = Self { path: path.to_owned(), clips: BTreeMap::new() };
+        let mut landmarks = Self { path: path.to_owned(), clips: BTreeMap::new(), note: table.note() };
         for row in table.rows() {
             let [subject, clip, dataset, frame] = row.keys.as_slice() else { continue };
             let frame = match frame.as_str() {
                 "" => None,
-                text => Some(text.parse::<u64>().map_err(|_| FaceError::Landmarks {
-                    path: path.to_owned(),
-                    reason: format!(
-                        "row {}, frame: expected a frame number, found `{}`",
-                        row.line,
-                        excerpt(text)
-                    ),
+                text => Some(whole_number(text).ok_or_else(|| {
+                    let (column, expected) = ("frame".to_owned(), "a frame number".to_owned());
+                    let found = text.to_owned();
+                    FileProblem::Cell { row: row.line, column, expected, found }.in_file(path)
                 })?),
             };
             let name = ClipName { dataset: dataset.clone(), subject: subject.clone(), clip: clip.clone() };
@@ -110,14 +108,14 @@ impl Landmarks {
         let of_clip = |clip: &&Clip| find(clip).map_err(|problem| ExtractError { clip: clip.id(), problem });
         let found: Vec<Result<FacePoints, ExtractError>> = clips.par_iter().map(of_clip).collect();
         let found: Vec<FacePoints> = found.into_iter().collect::<Result<_, _>>()?;
-        let mut landmarks = Self { path: path.to_owned(), clips: BTreeMap::new() };
+        let mut landmarks = Self { path: path.to_owned(), clips: BTreeMap::new(), note: None };
         let mut rows = Vec::new();
         for (clip, face) in clips.iter().zip(&found) {
             let Annotation { subject, clip: name, onset, .. } = &clip.annotation;
             let dataset = clip.dataset.clone();
             rows.push((vec![subject.clone(), name.clone(), dataset.clone(), onset.to_string()], face));
             let key = ClipName { dataset, subject: subject.clone(), clip: name.clone() };
-            landmarks.clips.entry(key).or_default().push(Row { frame: Some(*onset), face: face.clone() });
+            landmarks.clips.entry(key).or_default().push(Row { frame: Some(*onset), face: Some(face.clone()) });
         }
         let written = write_landmarks(path, &[NEEDED, OPTIONAL].concat(), force, rows);
         written.map_err(|error| ExtractError { clip: "all clips".to_owned(), problem: error.into() })?;
@@ -128,22 +126,31 @@ impl Landmarks {
         &self.path
     }
 
+    /// What the user should know about how the file was read.
+    pub fn note(&self) -> Option<&str> {
+        self.note.as_deref()
+    }
+
     /// The face in a clip's onset frame, or in the clip if the file has no frame numbers.
     ///
     /// # Errors
-    /// When the file has no row of the clip.
+    /// When the file has no row of the clip, or that row has no face.
     pub fn of_clip(&self, dataset: &str, annotation: &Annotation) -> Result<&FacePoints, FaceError> {
         let rows_of = |dataset: &str| {
             let (subject, clip) = (annotation.subject.clone(), annotation.clip.clone());
             self.clips.get(&ClipName { dataset: dataset.to_owned(), subject, clip })
         };
         let at_onset = rows_of(dataset).or_else(|| rows_of("")).and_then(|rows| {
-            let onset = rows.iter().find(|row| row.frame == Some(annotation.onset));
-            onset.or_else(|| rows.iter().find(|row| row.frame.is_none()))
+            let of_frame = |frame: Option<u64>| {
+                let of_frame = || rows.iter().filter(move |row| row.frame == frame);
+                of_frame().find(|row| row.face.is_some()).or_else(|| of_frame().next())
+            };
+            of_frame(Some(annotation.onset)).or_else(|| of_frame(None))
         });
-        at_onset.map(|row| &row.face).ok_or_else(|| FaceError::NoLandmarks {
-            path: self.path.clone(),
-            of: format!("clip {} of subject {}", annotation.clip, annotation.subject),
+        at_onset.and_then(|row| row.face.as_ref()).ok_or_else(|| {
+            let failed = if at_onset.is_some() { " (the tracker found no face in its row)" } else { "" };
+            let of = format!("clip {} of subject {}{failed}", annotation.clip, annotation.subject);
+            FaceError::NoLandmarks { path: self.path.clone(), of }
         })
     }
 }

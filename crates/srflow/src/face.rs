@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::clap::Args;
-use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_core::Image;
 use srflow_data::micro_expression::Clip;
@@ -98,13 +97,19 @@ impl FaceArgs {
             return Ok(FaceCrop::Landmarks(found?));
         }
         Ok(match (&self.landmarks, self.face_box) {
-            (Some(path), _) => FaceCrop::Landmarks(Landmarks::read(path)?),
+            (Some(path), _) => {
+                let landmarks = Landmarks::read(path)?;
+                if let Some(note) = landmarks.note() {
+                    log::warn!("{note}");
+                }
+                FaceCrop::Landmarks(landmarks)
+            }
             (None, Some(face)) => FaceCrop::Fixed(face),
             (None, None) => FaceCrop::Whole,
         })
     }
 
-    /// The face in the first frame of a sequence, whose crop is that of all its frames: with `--landmarks`, that of the first row.
+    /// The face in the first frame of a sequence, whose crop is that of all its frames: with `--landmarks`, that of the first row with a face.
     ///
     /// # Errors
     /// When landmarks cannot be read or found.
@@ -116,15 +121,17 @@ impl FaceArgs {
         }
         Ok(match (&self.landmarks, self.face_box) {
             (Some(path), _) => {
-                let table = LandmarkTable::read(path, &[], &[])?;
-                let row = table.rows().first();
-                upright(
-                    row.with_context(|| {
-                        format!("{}: expected a row of landmarks, found none", path.display())
-                    })?
-                    .face
-                    .clone(),
-                )
+                let table = read_table(path, &[])?;
+                let (row, face) = table.first()?;
+                if let Some(skipped) = table.rows().first().filter(|first| first.line != row.line) {
+                    log::warn!(
+                        "{}: in row {} the tracker found no face; the face of row {} is used",
+                        path.display(),
+                        skipped.line,
+                        row.line
+                    );
+                }
+                upright(face.clone())
             }
             (None, Some(face)) => FoundFace { points: None, crop: FrameCrop::Fixed(face) },
             (None, None) => FoundFace { points: None, crop: FrameCrop::Whole },
@@ -138,12 +145,21 @@ impl FaceArgs {
     pub fn boxes(&self) -> anyhow::Result<Option<FaceBoxes>> {
         let source = match (self.finder()?, &self.landmarks, self.face_box) {
             (Some(finder), ..) => BoxSource::Found(finder, self.index()),
-            (None, Some(path), _) => BoxSource::Table(LandmarkTable::read(path, &[PAIR], &[])?),
+            (None, Some(path), _) => BoxSource::Table(read_table(path, &[PAIR])?),
             (None, None, Some(face)) => BoxSource::Fixed(face),
             (None, None, None) => return Ok(None),
         };
         Ok(Some(FaceBoxes { source, found: Vec::new() }))
     }
+}
+
+/// Reads a file of landmarks with these columns beside the points.
+fn read_table(path: &Path, needed: &[&str]) -> anyhow::Result<LandmarkTable> {
+    let table = LandmarkTable::read(path, needed, &[])?;
+    if let Some(note) = table.note() {
+        log::warn!("{note}");
+    }
+    Ok(table)
 }
 
 /// Column of the names of pairs in a file of landmarks.

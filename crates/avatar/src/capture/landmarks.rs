@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-use srflow_files::{FileError, FileKind, read_text, write_atomically};
+use srflow_files::{CsvRow, CsvTable, FileError, FileKind, whole_number, write_atomically};
 
 use super::problem;
 
@@ -17,7 +17,7 @@ pub const LANDMARKS_NAME: &str = "landmarks.csv";
 /// Landmarks of a face, in dlib's order.
 pub const LANDMARK_COUNT: usize = 68;
 
-const HEADER: &str = "timestep,camera,landmark,x,y";
+const COLUMNS: [&str; 5] = ["timestep", "camera", "landmark", "x", "y"];
 
 /// The landmarks of one picture: pixel, or `None` where missing.
 pub type Face = [Option<[f64; 2]>; LANDMARK_COUNT];
@@ -54,7 +54,7 @@ impl Landmarks {
     /// When it cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
         write_atomically(path, |writer| {
-            writeln!(writer, "{HEADER}")?;
+            writeln!(writer, "{}", COLUMNS.join(","))?;
             for (&(timestep, camera), face) in &self.faces {
                 for (number, place) in face.iter().enumerate() {
                     if let Some([x, y]) = place {
@@ -72,26 +72,27 @@ impl Landmarks {
     /// When it cannot be read, has other columns, or a row is malformed, a second one for the same landmark, or of a landmark beyond
     /// 67. The error names the line.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let text = read_text(path, FileKind::Table)?;
+        let mut table = CsvTable::open(path, FileKind::Table)?;
         let in_file = |problem| FileError { path: path.to_owned(), problem };
-        let mut lines = text.lines();
-        let header = lines.next().unwrap_or_default();
-        if header.trim() != HEADER {
-            return Err(in_file(problem("header", format!("`{HEADER}`"), header)));
+        let mut columns = [0; COLUMNS.len()];
+        for (place, name) in columns.iter_mut().zip(COLUMNS) {
+            let found = table.column(name)?.filter(|_| table.columns().len() == COLUMNS.len());
+            *place = found.ok_or_else(|| {
+                let expected = format!("the columns `{}`", COLUMNS.join(","));
+                in_file(problem("header", expected, table.shown_columns()))
+            })?;
         }
         let mut landmarks = Self::default();
-        for (number, line) in (2..).zip(lines) {
-            if line.trim().is_empty() {
-                continue;
-            }
-            let (key, landmark, pixel) = row(line).ok_or_else(|| {
+        while let Some(cells) = table.next_row()? {
+            let shown = || format!("`{}`", cells.cells().collect::<Vec<_>>().join(","));
+            let (key, landmark, pixel) = row(&cells, columns).ok_or_else(|| {
                 let expected =
                     "timestep, camera and landmark (0 to 67) as integers, x and y as finite numbers";
-                in_file(problem("row", expected, format!("`{line}` in line {number}")))
+                in_file(problem("row", expected, format!("{} in line {}", shown(), cells.line)))
             })?;
             let place = &mut landmarks.faces.entry(key).or_insert([None; LANDMARK_COUNT])[landmark];
             if place.replace(pixel).is_some() {
-                let found = format!("a second one in line {number}: `{line}`");
+                let found = format!("a second one in line {}: {}", cells.line, shown());
                 return Err(in_file(problem("row", "one row for each landmark of a picture", found)));
             }
         }
@@ -99,11 +100,14 @@ impl Landmarks {
     }
 }
 
-fn row(line: &str) -> Option<((u32, u32), usize, [f64; 2])> {
-    let mut fields = line.split(',').map(str::trim);
-    let mut next = || fields.next();
-    let key = (next()?.parse().ok()?, next()?.parse().ok()?);
-    let landmark = next()?.parse().ok().filter(|landmark| *landmark < LANDMARK_COUNT)?;
-    let pixel: [f64; 2] = [next()?.parse().ok()?, next()?.parse().ok()?];
-    (next().is_none() && pixel.iter().all(|value| value.is_finite())).then_some((key, landmark, pixel))
+fn row(cells: &CsvRow, columns: [usize; 5]) -> Option<((u32, u32), usize, [f64; 2])> {
+    if cells.count() != columns.len() {
+        return None;
+    }
+    let [timestep, camera, landmark, x, y] = columns;
+    let whole = |column: usize| whole_number(cells.text(column))?.try_into().ok();
+    let landmark = whole(landmark)? as usize;
+    let pixel = [x, y].map(|column| cells.number(column).ok().flatten());
+    let key = (whole(timestep)?, whole(camera)?);
+    (landmark < LANDMARK_COUNT).then_some((key, landmark, [pixel[0]?, pixel[1]?]))
 }

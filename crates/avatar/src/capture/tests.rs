@@ -343,6 +343,10 @@ fn landmarks_survive_writing_and_reading_and_may_be_missing() {
         let error = Landmarks::read(&path).unwrap_err().to_string();
         assert!(error.contains(reason), "{error}");
     }
+    // As spreadsheets and pandas save it, with columns in another order.
+    fs::write(&path, "\u{feff}Camera;Timestep;Landmark;X;Y\r\n8.0;3.0;67.0;0,5;801,125\r\n").unwrap();
+    let saved = Landmarks::read(&path).unwrap();
+    assert_eq!(saved.get(3, 8).unwrap()[67], Some([0.5, 801.125]));
 }
 
 #[test]
@@ -406,11 +410,23 @@ fn tables_of_openface_and_mediapipe_are_read() {
         }
     }
 
+    // Excel's "CSV UTF-8" begins with a byte order mark; spaces, quotes and the case of names do not matter.
+    let saved = format!("\u{feff}{}", openface.replacen("frame, confidence", "\"Frame\", Confidence", 1));
+    for text in [saved.clone(), saved.replace(", ", ",").replace('\n', "\r\n"), saved.replace(", ", ";")] {
+        assert!(read(&text).expect("OpenFace") == landmarks, "{text}");
+    }
+    // MediaPipe's points in pixels, and rows that pandas numbers by fractions.
+    let pixels = read(&table("frame", &[("7.0", 10.0)], 478, 1.0)).expect("pixels");
+    assert_eq!(pixels.get(7, 3).and_then(|face| face[30]), Some([14.0, 8.0]));
+
     let fault = |text: &str, part: &str| {
         let error = read(text).expect_err(part);
         assert!(error.contains(part), "{error}");
     };
     fault("", "0 of x and 0 of y");
+    fault(&table("frame", &[("1", 0.0)], 68, 1.0).replace("x_", "X_"), "no x_0 but X_0");
+    fault(&table("timestep", &[("1", 0.0)], 68, 1.0), "a column `frame`");
+    fault("left_eye_x,left_eye_y,right_eye_x,right_eye_y\n1,2,31,2\n", "the eyes alone");
     fault(&table("frame", &[], 67, 1.0), "67 of x and 67 of y");
     fault(&table("frame", &[("1", 0.0), ("x\u{1b}[31m", 0.0)], 68, 1.0), "x\\u{1b}[31m in line 3");
     fault(&table("frame", &[("0", 0.0)], 68, 1.0), "line 2 counts to -1");

@@ -44,3 +44,14 @@ fn wrong_frame_numbers_are_refused() {
     let error = landmarks(text).unwrap_err().to_string();
     assert!(error.contains("row 2, frame: expected a frame number, found `z`"), "{error}");
 }
+
+#[test]
+fn frame_numbers_of_pandas_count_and_rows_without_a_face_do_not() {
+    let text = "Subject;Clip;Frame;success;left_eye_x;left_eye_y;right_eye_x;right_eye_y\n\
+                1;a;19.0;1;10,5;10;50,5;10\n1;a;20.0;0;0;0;0;0\n";
+    let landmarks = landmarks(&format!("\u{feff}{text}")).unwrap();
+    let eyes = |onset| landmarks.of_clip("x", &annotation("1", "a", onset)).map(|face| face.eyes);
+    assert_eq!(eyes(19).unwrap(), [[10.5, 10.0], [50.5, 10.0]]);
+    let error = eyes(20).unwrap_err().to_string();
+    assert!(error.contains("the tracker found no face"), "{error}");
+}

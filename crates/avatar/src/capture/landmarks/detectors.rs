@@ -2,23 +2,19 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_core::{MEDIAPIPE_OF_DLIB, excerpt};
-use srflow_files::{FileError, FileKind, FileProblem, read_text};
+use srflow_core::excerpt;
+use srflow_files::{FileError, FileKind, FileProblem, PointSet, PointTable, read_text};
 
 use super::super::problem;
 use super::{Face, LANDMARK_COUNT, Landmarks};
 
-/// Numbers of columns `x_*` that are understood: dlib's landmarks, and MediaPipe's without and with irises.
-const COUNTS: [usize; 3] = [LANDMARK_COUNT, 468, 478];
-
 impl Landmarks {
-    /// Adds the landmarks of one camera from a table with a row for each frame and columns `x_0`, `x_1`, ..., `y_0`, `y_1`, ...:
-    /// 68 of them as OpenFace writes them (`FeatureExtraction -2Dfp`), in pixels, or MediaPipe's 468 or 478, as shares of the
-    /// picture's width and height.
+    /// Adds the landmarks of one camera from a [`PointTable`] with a row for each frame: dlib's 68 in pixels, as OpenFace writes them
+    /// (`FeatureExtraction -2Dfp`), or MediaPipe's 468 or 478, in pixels or as shares of the picture's width and height.
     ///
     /// `frame` counts from 1 as OpenFace does if there are 68 landmarks, else from 0, and gives the timestep; without it rows are
-    /// counted. A frame whose `success` is 0 is missing, and so is a coordinate that is empty or not finite. Of several faces in a
-    /// frame the one of highest `confidence` is taken, else the first.
+    /// counted. A frame whose row has no face is missing, and so is a landmark without a coordinate. Of several faces in a frame the one
+    /// of highest `confidence` is taken, else the first.
     ///
     /// # Errors
     /// When the file cannot be read, columns are missing, or a value is not a number. The error names the line.
@@ -28,61 +24,46 @@ impl Landmarks {
         camera_index: u32,
         (width, height): (usize, usize),
     ) -> Result<(), FileError> {
-        let text = read_text(path, FileKind::Table)?;
+        let table = PointTable::read(path, &[], &["frame"])?;
         let in_file = |problem| FileError { path: path.to_owned(), problem };
-        let mut lines = text.lines();
-        let header: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
-        let table = Table::of(&header).map_err(in_file)?;
-        let scale = |[x, y]: [f64; 2]| match table.x.len() {
-            LANDMARK_COUNT => [x, y],
-            // The edges of the picture are 0 and 1.
-            _ => [x * width as f64 - 0.5, y * height as f64 - 0.5],
+        let first_frame = match table.set {
+            PointSet::Dlib => 1,
+            PointSet::MediaPipe => 0,
+            PointSet::Eyes => {
+                let expected = "the 68 landmarks of OpenFace or the 468 or 478 of MediaPipe";
+                return Err(in_file(problem("header", expected, "the eyes alone")));
+            }
+        };
+        // The edges of the picture are 0 and 1.
+        let scale = |[x, y]: [f64; 2]| match table.is_relative {
+            true => [x * width as f64 - 0.5, y * height as f64 - 0.5],
+            false => [x, y],
         };
         let mut confidences = std::collections::BTreeMap::new();
-        for (row, (number, line)) in (2..).zip(lines).filter(|(_, line)| !line.trim().is_empty()).enumerate()
-        {
-            let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-            let value = |column: Option<usize>| -> Result<Option<f64>, FileError> {
-                let Some(column) = column else { return Ok(None) };
-                let Some(cell) = cells.get(column) else {
-                    let found = format!("{} in line {number}", cells.len());
-                    return Err(in_file(problem(
-                        "row",
-                        format!("{} values, as in the header", header.len()),
-                        found,
-                    )));
-                };
-                if cell.is_empty() {
-                    return Ok(None);
+        for (count, row) in table.rows.iter().enumerate() {
+            let number = row.line;
+            let counted = match row.keys.first().map_or("", String::as_str) {
+                "" => count as f64,
+                cell => {
+                    let frame: Result<f64, _> = cell.parse();
+                    let wrong = |_| {
+                        let found = format!("{} in line {number}", excerpt(cell));
+                        in_file(problem("row", "a number for frame", found))
+                    };
+                    frame.map_err(wrong)? - f64::from(first_frame)
                 }
-                let parsed: Result<f64, _> = cell.parse();
-                parsed.map(|value| value.is_finite().then_some(value)).map_err(|_| {
-                    let found = format!("{} in line {number}", excerpt(cell));
-                    in_file(problem("row", format!("a number for {}", excerpt(header[column])), found))
-                })
-            };
-            let counted = match value(table.frame)? {
-                None => row as f64,
-                Some(frame) if table.x.len() == LANDMARK_COUNT => frame - 1.0,
-                Some(frame) => frame,
             };
             if !(0.0..=f64::from(u32::MAX)).contains(&counted) || counted.fract() != 0.0 {
-                let first = if table.x.len() == LANDMARK_COUNT { 1 } else { 0 };
                 let found = format!("line {number} counts to {counted} after the first one");
-                return Err(in_file(problem("frame", format!("whole numbers from {first} on"), found)));
+                return Err(in_file(problem("frame", format!("whole numbers from {first_frame} on"), found)));
             }
             let timestep = counted as u32;
             let mut face: Face = [None; LANDMARK_COUNT];
-            let seen = value(table.success)?.is_none_or(|success| success != 0.0);
-            for (landmark, place) in face.iter_mut().enumerate() {
-                let column =
-                    if table.x.len() == LANDMARK_COUNT { landmark } else { MEDIAPIPE_OF_DLIB[landmark] };
-                let (x, y) = (value(Some(table.x[column]))?, value(Some(table.y[column]))?);
-                *place = x.zip(y).filter(|_| seen).map(|(x, y)| scale([x, y]));
+            for (place, point) in face.iter_mut().zip(&row.points) {
+                *place = point.map(scale);
             }
-            let confidence = value(table.confidence)?.unwrap_or(0.0);
-            if confidences.get(&timestep).is_none_or(|best| confidence > *best) {
-                confidences.insert(timestep, confidence);
+            if confidences.get(&timestep).is_none_or(|best| row.confidence > *best) {
+                confidences.insert(timestep, row.confidence);
                 self.insert(timestep, camera_index, face);
             }
         }
@@ -129,39 +110,13 @@ impl Landmarks {
     }
 }
 
-/// Places of columns.
-struct Table {
-    x: Vec<usize>,
-    y: Vec<usize>,
-    frame: Option<usize>,
-    success: Option<usize>,
-    confidence: Option<usize>,
-}
-
-impl Table {
-    fn of(header: &[&str]) -> Result<Self, FileProblem> {
-        let place: std::collections::HashMap<&str, usize> =
-            header.iter().enumerate().rev().map(|(place, name)| (*name, place)).collect();
-        let series = |axis: char| -> Vec<usize> {
-            (0..).map_while(|number| place.get(format!("{axis}_{number}").as_str()).copied()).collect()
-        };
-        let (x, y) = (series('x'), series('y'));
-        if x.len() != y.len() || !COUNTS.contains(&x.len()) {
-            let expected = "the columns x_0, x_1, ... and y_0, y_1, ... of 68 landmarks (OpenFace) or of 468 or 478 (MediaPipe)";
-            return Err(problem("header", expected, format!("{} of x and {} of y", x.len(), y.len())));
-        }
-        let of = |name: &str| place.get(name).copied();
-        Ok(Self { x, y, frame: of("frame"), success: of("success"), confidence: of("confidence") })
-    }
-}
-
 /// The points of one annotation.
 fn points(text: &str) -> Result<Face, FileProblem> {
     let mut face: Face = [None; LANDMARK_COUNT];
     let mut count = 0;
     let mut inside = false;
     for (number, line) in (1..).zip(text.lines()) {
-        match line.trim() {
+        match line.trim_start_matches('\u{feff}').trim() {
             "{" => inside = true,
             "}" => inside = false,
             row if inside && !row.is_empty() => {

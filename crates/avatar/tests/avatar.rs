@@ -309,7 +309,7 @@ fn files_of_another_head_are_refused() {
 #[test]
 fn gaussians_follow_flame_in_the_motion_of_their_files() {
     let folder = tempfile::tempdir().unwrap();
-    let data = Path::new("tests/data/flame");
+    let data = Path::new("../head/tests/data/flame");
     std::fs::copy(data.join("parameters.npz"), folder.path().join("flame_param.npz")).unwrap();
     let text = format!("flame-toothless:{}", data.join("python2.pkl").display());
     let count = text.parse::<HeadSource>().unwrap().model(0).unwrap().triangles.len();

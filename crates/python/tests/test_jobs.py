@@ -89,7 +89,7 @@ def test_wrong_options_of_rendering_are_errors(rendered, tmp_path):
     with pytest.raises(OSError, match="file/data: .*; a dataset needs a folder that can be created") as refused:
         srflow.render(tmp_path / "file/data", scenes=1, frames=1)
     assert not isinstance(refused.value, FileNotFoundError)
-    with pytest.raises(FileNotFoundError, match="head .*nowhere"):
+    with pytest.raises(FileNotFoundError, match="`head` .*nowhere"):
         srflow.render(tmp_path / "data", head=f"ict:{tmp_path / 'nowhere'}")
     assert not (tmp_path / "data").exists()
 

@@ -1,5 +1,6 @@
 use srflow_core::random::Key;
 
+use super::machine::unescaped;
 use super::*;
 
 fn parse(bytes: &[u8]) -> Result<Pickle, String> {

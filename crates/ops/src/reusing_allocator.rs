@@ -83,6 +83,13 @@ impl ReusingAllocator {
         of(&mut self.kept.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
+    /// Makes the allocator usable in processes that this one forks, as workers of Python's data loaders are: without it, one forked while
+    /// another thread allocates waits for that thread, which it does not have, forever. Only the first allocator of a program is served.
+    pub fn survive_forks(&'static self) {
+        #[cfg(unix)]
+        forks::register(self);
+    }
+
     /// Returns blocks beyond the limit to the system.
     fn give_back(&self) {
         while let Some((address, size)) = self.with_kept(Kept::take_surplus) {
@@ -240,6 +247,46 @@ fn ask_for_huge_pages(address: *mut u8, size: usize) {
 
 #[cfg(not(target_os = "linux"))]
 fn ask_for_huge_pages(_: *mut u8, _: usize) {}
+
+/// Holds an allocator's lock while the process forks, so that it is free, and the lists are whole, in both processes.
+#[cfg(unix)]
+mod forks {
+    use std::cell::UnsafeCell;
+    use std::sync::{MutexGuard, OnceLock, PoisonError};
+
+    use super::{Kept, ReusingAllocator};
+
+    static ALLOCATOR: OnceLock<&ReusingAllocator> = OnceLock::new();
+    static HELD: Held = Held(UnsafeCell::new(None));
+
+    /// The lock of [`ALLOCATOR`] during a fork.
+    struct Held(UnsafeCell<Option<MutexGuard<'static, Kept>>>);
+
+    // SAFETY: only the thread that holds the lock of the allocator accesses it; see `prepare` and `release`.
+    unsafe impl Sync for Held {}
+
+    pub(super) fn register(allocator: &'static ReusingAllocator) {
+        if ALLOCATOR.set(allocator).is_ok() {
+            // SAFETY: the functions unwind in no case, and call nothing but the lock. Without memory for the handlers forks are as
+            // they were.
+            unsafe { libc::pthread_atfork(Some(prepare), Some(release), Some(release)) };
+        }
+    }
+
+    extern "C" fn prepare() {
+        if let Some(allocator) = ALLOCATOR.get() {
+            let guard = allocator.kept.lock().unwrap_or_else(PoisonError::into_inner);
+            // SAFETY: this thread holds the lock.
+            unsafe { *HELD.0.get() = Some(guard) };
+        }
+    }
+
+    extern "C" fn release() {
+        // SAFETY: `prepare` ran on this thread, which in the child is a copy of the parent's: it holds the lock until the guard is
+        // dropped, after it was taken out.
+        drop(unsafe { (*HELD.0.get()).take() });
+    }
+}
 
 // SAFETY: blocks come from the system allocator with at least the requested size and alignment, each has one owner at a time, and
 // is freed with the layout it was allocated with, which is a function of the requested one.
@@ -429,5 +476,54 @@ mod tests {
             free(&again, 120);
             assert_eq!(totals().1, 0);
         }
+    }
+    /// Threads allocate all the time while processes are forked, which allocate as well.
+    #[cfg(unix)]
+    #[test]
+    fn forked_processes_never_wait_for_threads_that_they_do_not_have() {
+        use std::sync::atomic::{AtomicBool, Ordering};
+        use std::time::{Duration, Instant};
+
+        static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
+        ALLOCATOR.survive_forks();
+        let layout = Layout::from_size_align(SMALLEST, 64).expect("valid");
+        let allocate = move || {
+            // SAFETY: the layout is not empty, and the block is freed with it.
+            unsafe { ALLOCATOR.dealloc(ALLOCATOR.alloc(layout), layout) }
+        };
+        let done = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            for _ in 0..2 {
+                scope.spawn(|| {
+                    while !done.load(Ordering::Relaxed) {
+                        allocate();
+                    }
+                });
+            }
+            let hung = (0..300).find(|_| {
+                // SAFETY: the child only allocates and ends.
+                let child = unsafe { libc::fork() };
+                if child == 0 {
+                    allocate();
+                    // SAFETY: ends the process at once.
+                    unsafe { libc::_exit(0) }
+                }
+                let until = Instant::now() + Duration::from_secs(20);
+                loop {
+                    // SAFETY: a child of this process, whose status is not asked for.
+                    if unsafe { libc::waitpid(child, std::ptr::null_mut(), libc::WNOHANG) } != 0 {
+                        return false;
+                    }
+                    if Instant::now() > until {
+                        // SAFETY: as above.
+                        unsafe { libc::kill(child, libc::SIGKILL) };
+                        return true;
+                    }
+                    std::thread::sleep(Duration::from_micros(200));
+                }
+            });
+            done.store(true, Ordering::Relaxed);
+            assert_eq!(hung, None, "a forked process hangs");
+        });
     }
 }

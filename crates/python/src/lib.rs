@@ -64,6 +64,7 @@ mod _srflow {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        super::ALLOCATOR.survive_forks();
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

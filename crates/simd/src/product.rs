@@ -119,7 +119,8 @@ impl Product<'_> {
         let width = panel_columns(isa);
         let Self { rows, depth, columns, .. } = *self;
         let right = Steps { row: width, panel: self.right_panel };
-        let right = right.extent(self.right.rows(depth), columns.next_multiple_of(width), width);
+        let Some(whole) = columns.checked_next_multiple_of(width) else { panic!("a matrix larger than memory") };
+        let right = right.extent(self.right.rows(depth), whole, width);
         assert!(self.right.len() >= right, "right side: {} elements of {right}", self.right.len());
         if let Start::PerRow(start) = self.start {
             assert!(start.len() >= rows, "starts of {rows} rows: {}", start.len());
@@ -162,6 +163,11 @@ impl<'a> Output<'a> {
     /// The same output, refusing products with more rows or columns.
     pub(crate) fn limited_to(self, rows: usize, columns: usize) -> Self {
         Self { limit: [rows, columns], ..self }
+    }
+
+    /// Its first element and the number of elements.
+    pub(crate) fn memory(&self) -> (*const f32, usize) {
+        (self.start, self.len)
     }
 
     /// Rows and columns, counted from the first, that are known to be initialised.
@@ -253,8 +259,10 @@ fn with_sides(isa: Isa, product: &Product, of: impl FnOnce(&Sides)) {
         }
         (Left::Bf16(left), Right::F32(right)) => {
             let width = panel_columns(isa);
-            let (panels, panel) = (product.columns.div_ceil(width), depth * width);
-            let mut pairs = Scratch::<Pair>::of(panels * panel);
+            let (panels, panel) = (product.columns.div_ceil(width), depth.checked_mul(width));
+            let len = panel.and_then(|panel| panels.checked_mul(panel));
+            let (Some(panel), Some(len)) = (panel, len) else { panic!("a matrix larger than memory") };
+            let mut pairs = Scratch::<Pair>::of(len);
             for (number, pairs) in pairs.chunks_exact_mut(panel.max(1)).enumerate() {
                 let rows = &right[number * right_panel..][..product.depth * width];
                 pair_rows(isa, rows, width, pairs);

@@ -130,7 +130,10 @@ pub fn fill_columns<T>(
             // SAFETY: a product within these columns belongs to this task alone; any other is refused.
             let mut out =
                 unsafe { target.output(image * rows * columns + first, steps) }.limited_to(rows, own.len());
+            let memory = out.memory();
             fill(scratch, image, own.clone(), &mut out);
+            // Safe code may replace what it borrows.
+            assert!(out.memory() == memory, "another output");
             let [filled_rows, filled_columns] = out.filled();
             assert!(filled_rows >= rows && filled_columns >= own.len(), "not all was written");
         });
@@ -224,6 +227,16 @@ mod tests {
     #[should_panic(expected = "not all was written")]
     fn unwritten_columns_are_detected() {
         fill_with(Isa::best(), 3, 39, Start::Zero);
+    }
+
+    #[test]
+    #[should_panic(expected = "another output")]
+    fn an_output_that_was_replaced_is_detected() {
+        let fill = |(): &mut (), _, own: Range<usize>, out: &mut Output| {
+            let memory = vec![0.0; 3 * own.len()].leak();
+            *out = Output::new(memory, Steps { row: own.len(), panel: 0 });
+        };
+        fill_columns(Isa::best(), [1, 3, 4], 4, || (), fill);
     }
 
     #[test]

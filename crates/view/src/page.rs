@@ -1,6 +1,7 @@
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use maud::{DOCTYPE, PreEscaped, html};
+use sha2::{Digest, Sha256};
 use srflow_core::printable;
 
 use crate::pack::Pack;
@@ -38,11 +39,18 @@ impl Page {
     /// The page as HTML 5. It loads nothing but packs that are not embedded.
     pub fn html(&self) -> String {
         let scripts = SCRIPTS.join("\n") + include_str!("../page/main.js");
+        // The page runs its own script alone, and fetches only from its server and from its own data.
+        let policy = format!(
+            "default-src 'none'; base-uri 'none'; form-action 'none'; script-src 'sha256-{}'; worker-src blob:; \
+             style-src 'unsafe-inline'; img-src data:; connect-src 'self' data:",
+            BASE64_STANDARD.encode(Sha256::digest(&scripts))
+        );
         let page = html! {
             (DOCTYPE)
             html lang="en" {
                 head {
                     meta charset="utf-8";
+                    meta http-equiv="Content-Security-Policy" content=(policy);
                     meta name="viewport" content="width=device-width, initial-scale=1";
                     meta name="color-scheme" content="light dark";
                     meta name="generator" content=(concat!("srflow ", env!("CARGO_PKG_VERSION")));

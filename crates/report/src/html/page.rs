@@ -1,6 +1,12 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use srflow_core::printable;
 
+/// Pages load nothing and run no scripts.
+const POLICY: &str =
+    "default-src 'none'; base-uri 'none'; form-action 'none'; style-src 'unsafe-inline'; img-src data:";
+/// A page [within a page](super::embedded) inherits the policy of the outer one and adds its own, which allows its own scripts alone.
+const POLICY_OF_EMBEDDED: &str = "; script-src 'unsafe-inline'; worker-src blob:; connect-src data:";
+
 /// A part of a page, created by one of the figure functions of this module.
 #[derive(Debug, Clone)]
 pub struct Figure(pub(super) Markup);
@@ -44,11 +50,15 @@ impl Page {
     /// and what would reorder or hide them is spelt out.
     pub fn html(&self) -> String {
         let contents = self.sections.len() > 1;
+        let mut figures = self.opening.iter().chain(self.sections.iter().flat_map(|section| &section.figures));
+        let embeds = figures.any(|figure| figure.0.0.contains("<iframe"));
+        let policy = [POLICY, if embeds { POLICY_OF_EMBEDDED } else { "" }].concat();
         let page = html! {
             (DOCTYPE)
             html lang="en" {
                 head {
                     meta charset="utf-8";
+                    meta http-equiv="Content-Security-Policy" content=(policy);
                     meta name="viewport" content="width=device-width, initial-scale=1";
                     meta name="color-scheme" content="light dark";
                     meta name="generator" content=(concat!("srflow ", env!("CARGO_PKG_VERSION")));

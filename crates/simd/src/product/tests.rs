@@ -182,3 +182,33 @@ fn slices_that_are_too_short_are_refused() {
         assert!(run(short).is_err(), "side {side}");
     }
 }
+
+/// Panels that share their memory claim any number of columns.
+fn multiply_shared_panels(columns: usize) {
+    let isa = Isa::best();
+    let (left, right) = (vec![Pair::default(); 4 * MAX_ROWS], vec![0.0; 4 * panel_columns(isa)]);
+    let product = Product {
+        left: Left::Bf16(&left),
+        rows: 1,
+        depth: 4,
+        right: Right::F32(&right),
+        right_panel: 0,
+        start: Start::Zero,
+        add: None,
+        activation: Activation::Identity,
+        columns,
+    };
+    multiply(isa, &product, &mut Output::new(&mut vec![0.0; 200], Steps { row: 0, panel: 0 }));
+}
+
+#[test]
+#[should_panic(expected = "larger than memory")]
+fn sides_whose_rounded_copy_exceeds_the_address_space_are_refused() {
+    multiply_shared_panels(usize::MAX / panel_columns(Isa::best()) * panel_columns(Isa::best()));
+}
+
+#[test]
+#[should_panic(expected = "larger than memory")]
+fn more_columns_than_whole_panels_can_hold_are_refused() {
+    multiply_shared_panels(usize::MAX);
+}

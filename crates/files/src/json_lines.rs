@@ -1,4 +1,7 @@
 //! Logs in the JSON Lines format: one JSON object per line.
+//!
+//! Each object ends with a member `crc32`, the CRC-32 of the line without it in hexadecimal, by which a program that reads its own
+//! log again detects changed lines. Lines without it, which earlier versions wrote, are read as they are.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
@@ -6,6 +9,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+
+use srflow_core::excerpt;
 
 use crate::{FileError, FileKind, FileProblem, parse_error_in_words, read_text, write_atomically};
 
@@ -47,9 +52,54 @@ impl JsonLines {
 }
 
 fn write_line(file: &mut impl Write, record: &impl Serialize) -> io::Result<()> {
-    let mut line = serde_json::to_string(record)?;
+    let mut line = sealed_json(record)?;
     line.push('\n');
     file.write_all(line.as_bytes())
+}
+
+/// A record as a line of JSON without a line break that [`parse_sealed_json`] verifies. It must be an object with members.
+///
+/// # Errors
+/// When it cannot be written as JSON.
+pub fn sealed_json(record: &impl Serialize) -> serde_json::Result<String> {
+    let mut line = serde_json::to_string(record)?;
+    let sum = crc32fast::hash(line.as_bytes());
+    if let Some('}') = line.pop() {
+        line += &format!("{SEAL}{sum:08x}\"}}");
+        Ok(line)
+    } else {
+        Err(serde::ser::Error::custom("a record is an object"))
+    }
+}
+
+/// Start of the last member of a sealed object.
+const SEAL: &str = ",\"crc32\":\"";
+
+/// Why a line is no record.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// It is not what [`sealed_json`] wrote.
+    #[error("the line has changed since it was written (CRC-32 {now}, then {written})")]
+    Changed { now: String, written: String },
+    #[error("{}", parse_error_in_words(.0))]
+    Parse(#[from] serde_json::Error),
+}
+
+/// Reads a line of [`sealed_json`], or of plain JSON.
+///
+/// # Errors
+/// When it has changed, or is not valid.
+pub fn parse_sealed_json<R: DeserializeOwned>(line: &str) -> Result<R, RecordError> {
+    let sealed = line.strip_suffix("\"}").and_then(|line| line.rsplit_once(SEAL));
+    let Some((record, written)) = sealed.filter(|(_, sum)| sum.len() == 8) else {
+        return Ok(serde_json::from_str(line)?);
+    };
+    let record = format!("{record}}}");
+    let now = format!("{:08x}", crc32fast::hash(record.as_bytes()));
+    if now != written {
+        return Err(RecordError::Changed { now, written: excerpt(written) });
+    }
+    Ok(serde_json::from_str(&record)?)
 }
 
 /// Reads the records of a log. A last line without a line break, which a killed run may have left, is skipped.
@@ -60,8 +110,8 @@ pub fn read_json_lines<R: DeserializeOwned>(path: &Path) -> Result<Vec<R>, FileE
     let text = read_text(path, FileKind::Log)?;
     let whole = text.rfind('\n').map_or("", |end| &text[..end]);
     let record = |(number, line): (usize, &str)| {
-        serde_json::from_str(line).map_err(|error| {
-            let found = format!("line {}: {}", number + 1, parse_error_in_words(&error));
+        parse_sealed_json(line).map_err(|error| {
+            let found = format!("line {}: {error}", number + 1);
             FileProblem::field("log", "a record per line as this version writes them", found).in_file(path)
         })
     };
@@ -72,27 +122,57 @@ pub fn read_json_lines<R: DeserializeOwned>(path: &Path) -> Result<Vec<R>, FileE
 mod tests {
     use super::*;
 
+    #[derive(Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Step {
+        step: u32,
+    }
+
+    fn numbers(path: &Path) -> Vec<u32> {
+        read_json_lines::<Step>(path).unwrap().iter().map(|record| record.step).collect()
+    }
+
     #[test]
     fn a_truncated_log_continues_from_the_last_record_kept() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log.jsonl");
-        let mut log = JsonLines::open::<u32>(&path, |_| true).unwrap();
-        (1..=15).for_each(|number| log.append(&number).unwrap());
+        let mut log = JsonLines::open::<Step>(&path, |_| true).unwrap();
+        (1..=15).for_each(|step| log.append(&Step { step }).unwrap());
         drop(log);
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::write(&path, &text[..text.len() - 2]).unwrap();
-        assert_eq!(read_json_lines::<u32>(&path).unwrap().len(), 14);
-        let mut log = JsonLines::open(&path, |record: &u32| *record <= 3).unwrap();
-        log.append(&4).unwrap();
-        assert_eq!(read_json_lines::<u32>(&path).unwrap(), [1, 2, 3, 4]);
+        assert_eq!(numbers(&path).len(), 14);
+        let mut log = JsonLines::open(&path, |record: &Step| record.step <= 3).unwrap();
+        log.append(&Step { step: 4 }).unwrap();
+        assert_eq!(numbers(&path), [1, 2, 3, 4]);
     }
 
     #[test]
     fn a_broken_line_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log.jsonl");
-        std::fs::write(&path, "1\n\"two\"\n3\n").unwrap();
-        let error = read_json_lines::<u32>(&path).unwrap_err().to_string();
+        std::fs::write(&path, "{\"step\":1}\n{\"step\":\"two\"}\n{\"step\":3}\n").unwrap();
+        let error = read_json_lines::<Step>(&path).unwrap_err().to_string();
         assert!(error.contains("log.jsonl") && error.contains("line 2: string \"two\""), "{error}");
+        std::fs::write(&path, "{\"step\":1}\n").unwrap();
+        assert_eq!(numbers(&path), [1], "lines of earlier versions");
+    }
+
+    #[test]
+    fn no_flipped_bit_changes_what_is_read() {
+        let line = sealed_json(&Step { step: 41 }).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&line).unwrap();
+        assert_eq!((&json["step"], json["crc32"].as_str().map(str::len)), (&41.into(), Some(8)));
+        for bit in 0..8 * line.len() {
+            let mut bytes = line.clone().into_bytes();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            if let Ok(text) = String::from_utf8(bytes)
+                && let Ok(step) = parse_sealed_json::<Step>(&text)
+            {
+                assert_eq!(step, Step { step: 41 }, "{text}");
+            }
+        }
+        let changed = parse_sealed_json::<Step>(&line.replace("41", "14")).unwrap_err().to_string();
+        assert!(changed.contains("has changed since it was written"), "{changed}");
     }
 }

@@ -31,7 +31,7 @@ pub use image_file::{
     IMAGE_EXTENSIONS, read_grey16, read_image, read_image_size, read_labels, read_mask, write_image_png,
     write_labels_png, write_mask_png,
 };
-pub use json_lines::{JsonLines, read_json_lines};
+pub use json_lines::{JsonLines, RecordError, parse_sealed_json, read_json_lines, sealed_json};
 pub use open::{FileKind, open_file, read_file, read_text};
 pub use parse_words::parse_error_in_words;
 pub use point_table::{PointRow, PointSet, PointTable};

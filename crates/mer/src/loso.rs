@@ -10,7 +10,9 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use srflow_files::{FileError, FileKind, create_folder, read_file, write_atomically};
+use srflow_files::{
+    FileError, FileKind, create_folder, parse_sealed_json, read_file, sealed_json, write_atomically,
+};
 
 use crate::classifier::Classifier;
 use crate::features::Sample;
@@ -400,7 +402,13 @@ fn read_fold(path: &Path, shape: [usize; 3]) -> Result<Option<Finished>, FileErr
         Err(error) if error.is_not_found() => return Ok(None),
         Err(error) => return Err(error),
     };
-    let file: Option<FoldFile> = serde_json::from_slice(&text).ok();
+    let file: Option<FoldFile> = match parse_sealed_json(&String::from_utf8_lossy(&text)) {
+        Ok(file) => Some(file),
+        Err(error) => {
+            log::warn!("{}: {error}; the fold is trained again", path.display());
+            None
+        }
+    };
     let fits = |file: &FoldFile| {
         let [epochs, clips, classes] = shape;
         file.training_losses.len() == epochs
@@ -426,7 +434,7 @@ fn write_fold(path: &Path, name: &str, trained: &Trained) -> Result<(), FileErro
         scores: trained.scores.iter().map(|clips| clips.iter().map(of_clip).collect()).collect(),
     };
     write_atomically(path, |writer| {
-        serde_json::to_writer(&mut *writer, &file)?;
+        writer.write_all(sealed_json(&file)?.as_bytes())?;
         writer.flush()
     })
 }

@@ -1,18 +1,20 @@
 //! Checkpoints of a run, from which it resumes exactly.
 //!
-//! A checkpoint is a folder `step-NNNNNNNN` with three files: `model.safetensors`, the parameters under the names of the
-//! reference implementation; `optimizer.safetensors`, the state of AdamW; `state.json`, progress and configuration. The
-//! folder is written under a temporary name and renamed when complete. No random state needs saving: every random number
-//! derives from the seed, the step and the place in the batch.
+//! A checkpoint is a folder `step-NNNNNNNN` with four files: `model.safetensors`, the parameters under the names of the
+//! reference implementation; `optimizer.safetensors`, the state of AdamW; `state.json`, progress and configuration; `SHA256SUMS`,
+//! the hashes of the three. The folder is written under a temporary name and renamed when complete. No random state needs saving:
+//! every random number derives from the seed, the step and the place in the batch.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::DType;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 use srflow_files::{
-    FileError, FileKind, FileProblem, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text,
-    remove_partial, write_file,
+    FileError, FileKind, FileProblem, PARTIAL_EXTENSION, SHA256SUMS, create_folder, hexadecimal,
+    parse_error_in_words, parse_sha256sums_line, read_file, read_text, remove_partial, sha256_of_file, sha256sums_line,
+    write_file,
 };
 use srflow_nn::{About, AdamWState, Layout, StoredAs, WeightsError, read_safetensors, safetensors_bytes};
 
@@ -86,8 +88,18 @@ fn is_alone(ranks: &usize) -> bool {
 pub enum CheckpointError {
     #[error(transparent)]
     File(#[from] FileError),
-    #[error("{}: {reason}; delete this checkpoint's folder to continue from the one before", .path.display())]
-    Broken { path: PathBuf, reason: String },
+    #[error(
+        "{}: {reason}; {}", .path.display(),
+        .before.as_ref().map_or("start the run again in another folder".to_owned(), |before| {
+            format!("delete this checkpoint's folder to continue from {}", before.display())
+        })
+    )]
+    Broken {
+        path: PathBuf,
+        reason: String,
+        /// The checkpoint before.
+        before: Option<PathBuf>,
+    },
     #[error(
         "{}: found no checkpoint to continue from; start the run without `resume`", .folder.display()
     )]
@@ -154,6 +166,9 @@ impl Checkpoints {
         });
         let optimizer = safetensors_bytes(optimizer, StoredAs::F32, None);
         let files = [(MODEL, &model), (OPTIMIZER, &optimizer), (STATE, &state.into_bytes())];
+        let line = |(name, bytes): &(&str, &Vec<u8>)| sha256sums_line(&hexadecimal(Sha256::digest(bytes)), name);
+        let hashes = files.iter().map(line).collect::<String>().into_bytes();
+        let files = [&files[..], &[(SHA256SUMS, &hashes)]].concat();
         let partial = self.folder.join(format!("{UNFINISHED}{:08}.{PARTIAL_EXTENSION}", progress.step));
         let written = self.write_folder(&partial, &self.path(progress.step), &files);
         if written.is_err() {
@@ -216,16 +231,17 @@ impl Checkpoints {
     /// Reads the last checkpoint of the run.
     ///
     /// # Errors
-    /// When there is none, it is broken, or its tensors do not match `layout`.
+    /// When there is none, it is broken or differs from what was written, or its tensors do not match `layout`.
     pub fn read_last(&self, layout: &Layout) -> Result<Checkpoint, CheckpointError> {
-        let path = self.last()?;
-        let StateFile { progress, config, ranks } = read_state(&path)?;
-        let values = read_tensors(&path.join(MODEL), layout, "", |_| true)?;
-        let [mean, square] = AVERAGES.map(|prefix| {
-            read_tensors(&path.join(OPTIMIZER), layout, prefix, |name| name.starts_with(prefix))
-        });
-        let optimizer = AdamWState { steps: progress.optimizer_steps, mean: mean?, square: square? };
-        Ok(Checkpoint { progress, config, values, optimizer, ranks })
+        self.with_last(|path| {
+            let StateFile { progress, config, ranks } = read_state(path)?;
+            let values = read_tensors(&path.join(MODEL), layout, "", |_| true)?;
+            let [mean, square] = AVERAGES.map(|prefix| {
+                read_tensors(&path.join(OPTIMIZER), layout, prefix, |name| name.starts_with(prefix))
+            });
+            let optimizer = AdamWState { steps: progress.optimizer_steps, mean: mean?, square: square? };
+            Ok(Checkpoint { progress, config, values, optimizer, ranks })
+        })
     }
 
     fn model_bytes(&self, layout: &Layout, values: &[f32]) -> Vec<u8> {
@@ -239,15 +255,58 @@ impl Checkpoints {
     /// Reads the configuration of the run, as TOML, from its last checkpoint.
     ///
     /// # Errors
-    /// When there is no checkpoint, or it is broken.
+    /// When there is no checkpoint, or it is broken or differs from what was written.
     pub fn read_config(&self) -> Result<String, CheckpointError> {
-        Ok(read_state(&self.last()?)?.config)
+        self.with_last(|path| Ok(read_state(path)?.config))
     }
 
-    fn last(&self) -> Result<PathBuf, CheckpointError> {
-        let last = self.steps()?.last().copied();
-        last.map(|step| self.path(step)).ok_or_else(|| CheckpointError::None { folder: self.folder.clone() })
+    /// Applies `read` to the verified folder of the last checkpoint.
+    fn with_last<T>(
+        &self,
+        read: impl FnOnce(&Path) -> Result<T, CheckpointError>,
+    ) -> Result<T, CheckpointError> {
+        let steps = self.steps()?;
+        let Some((last, earlier)) = steps.split_last() else {
+            return Err(CheckpointError::None { folder: self.folder.clone() });
+        };
+        let path = self.path(*last);
+        verify(&path).and_then(|()| read(&path)).map_err(|error| match error {
+            CheckpointError::Broken { path, reason, .. } => {
+                let before = earlier.last().map(|step| self.path(*step));
+                CheckpointError::Broken { path, reason, before }
+            }
+            other => other,
+        })
     }
+}
+
+fn broken(path: &Path, reason: String) -> CheckpointError {
+    CheckpointError::Broken { path: path.to_owned(), reason, before: None }
+}
+
+/// Compares the files of a checkpoint with their hashes.
+fn verify(checkpoint: &Path) -> Result<(), CheckpointError> {
+    let path = checkpoint.join(SHA256SUMS);
+    if !path.exists() {
+        log::warn!("{}: an earlier version wrote this checkpoint, without hashes to verify it by", checkpoint.display());
+        return Ok(());
+    }
+    let text = read_file(&path, FileKind::Checkpoint)?;
+    let text = String::from_utf8_lossy(&text);
+    let hashes: Option<Vec<_>> = text.lines().map(parse_sha256sums_line).collect();
+    let hashes = hashes.ok_or_else(|| broken(&path, "expected the hashes of files".to_owned()))?;
+    for name in [MODEL, OPTIMIZER, STATE] {
+        let Some((written, _)) = hashes.iter().find(|(_, of)| *of == Path::new(name)) else {
+            return Err(broken(&path, format!("expected the hash of {name}, found none")));
+        };
+        let path = checkpoint.join(name);
+        let now = hexadecimal(sha256_of_file(&path, FileKind::Checkpoint)?);
+        if now != *written {
+            let reason = format!("the file has changed since it was written (SHA-256 {now}, then {written})");
+            return Err(broken(&path, reason));
+        }
+    }
+    Ok(())
 }
 
 fn names(folder: &Path) -> Result<Vec<String>, FileError> {
@@ -264,9 +323,8 @@ fn remove_folder(path: &Path) -> Result<(), FileError> {
 fn read_state(checkpoint: &Path) -> Result<StateFile, CheckpointError> {
     let path = checkpoint.join(STATE);
     let text = read_text(&path, FileKind::Json)?;
-    serde_json::from_str(&text).map_err(|error| CheckpointError::Broken {
-        path,
-        reason: format!("expected the state of a run ({})", parse_error_in_words(&error)),
+    serde_json::from_str(&text).map_err(|error| {
+        broken(&path, format!("expected the state of a run ({})", parse_error_in_words(&error)))
     })
 }
 
@@ -278,7 +336,7 @@ fn read_tensors(
     prefix: &str,
     counts: impl Fn(&str) -> bool,
 ) -> Result<Vec<f32>, CheckpointError> {
-    let broken = |reason: String| CheckpointError::Broken { path: path.to_owned(), reason };
+    let broken = |reason: String| broken(path, reason);
     let mut found = read_safetensors(path).map_err(|error| match error {
         WeightsError::File(error) => error.into(),
         WeightsError::Read { error, .. } => FileProblem::reading(error).in_file(path).into(),
@@ -406,9 +464,43 @@ mod tests {
             let run = tempfile::tempdir().unwrap();
             let checkpoints = Checkpoints::of_run(run.path());
             checkpoints.write(&checkpoint(1), &layout()).unwrap();
-            [MODEL, OPTIMIZER, STATE].map(|name| fs::read(checkpoints.path(1).join(name)).unwrap())
+            [MODEL, OPTIMIZER, STATE, SHA256SUMS].map(|name| fs::read(checkpoints.path(1).join(name)).unwrap())
         });
         assert_eq!(one, two);
+    }
+
+    #[test]
+    fn a_flipped_bit_is_an_error_that_names_the_checkpoint_before() {
+        let run = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::of_run(run.path());
+        checkpoints.write(&checkpoint(1), &layout()).unwrap();
+        for step in 2..=3 {
+            checkpoints.write(&checkpoint(step), &layout()).unwrap();
+            for name in [MODEL, OPTIMIZER, STATE, SHA256SUMS] {
+                let path = checkpoints.path(step).join(name);
+                let whole = fs::read(&path).unwrap();
+                for place in (0..whole.len()).step_by(7) {
+                    let mut flipped = whole.clone();
+                    flipped[place] ^= 1 << (place % 8);
+                    fs::write(&path, &flipped).unwrap();
+                    let message = checkpoints.read_last(&layout()).unwrap_err().to_string();
+                    assert!(message.starts_with(&checkpoints.path(step).display().to_string()), "{message}");
+                    let before = format!("continue from {}", checkpoints.path(step - 1).display());
+                    assert!(message.ends_with(&before), "{message}");
+                }
+                fs::write(&path, &whole).unwrap();
+            }
+        }
+        assert_eq!(checkpoints.read_last(&layout()).unwrap(), checkpoint(3));
+    }
+
+    #[test]
+    fn checkpoints_of_earlier_versions_have_no_hashes() {
+        let run = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::of_run(run.path());
+        checkpoints.write(&checkpoint(1), &layout()).unwrap();
+        fs::remove_file(checkpoints.path(1).join(SHA256SUMS)).unwrap();
+        assert_eq!(checkpoints.read_last(&layout()).unwrap(), checkpoint(1));
     }
 
     #[test]

@@ -8,7 +8,10 @@ use std::time::{Duration, Instant};
 
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
-use srflow_files::{FileError, RunFolder, RunFolderError, RunMode};
+use srflow_core::excerpt;
+use srflow_files::{
+    FileError, FileKind, FileProblem, RUN_CONFIG, RunFolder, RunFolderError, RunMode, read_text,
+};
 use srflow_nets::about;
 use srflow_nn::{AdamW, AdamWState, Rounding, clip_norm};
 use srflow_ops::check_precision;
@@ -85,10 +88,24 @@ pub struct Outcome {
 /// The configuration of the run in the folder `run`, from its last checkpoint.
 ///
 /// # Errors
-/// When the folder has no checkpoint, or its last one is broken.
+/// When the folder has no checkpoint, its last one is broken, or its `config.toml` was edited: a run keeps its configuration.
 pub fn config_of_run(run: &Path) -> Result<Config, TrainError> {
     let text = Checkpoints::of_run(run).read_config()?;
-    Ok(Config::parse(&text, &run.display().to_string())?)
+    let config = Config::parse(&text, &run.display().to_string())?;
+    let path = run.join(RUN_CONFIG);
+    if path.exists() {
+        let edited = read_text(&path, FileKind::Settings)?;
+        if edited != text && Config::parse(&edited, &path.display().to_string())? != config {
+            let differing = edited.lines().zip(text.lines()).find(|(edited, text)| edited != text);
+            let (found, expected) = differing.unwrap_or(("another number of lines", "the same lines"));
+            let expected = format!(
+                "{} as the run was started; undo the change, or start a new run with this file as `config`",
+                excerpt(expected)
+            );
+            return Err(FileProblem::field("the configuration", expected, excerpt(found)).in_file(&path).into());
+        }
+    }
+    Ok(config)
 }
 
 /// A training: of what, on what, and where to.

@@ -412,8 +412,9 @@ fn tables_of_openface_and_mediapipe_are_read() {
 
     // Excel's "CSV UTF-8" begins with a byte order mark; spaces, quotes and the case of names do not matter.
     let saved = format!("\u{feff}{}", openface.replacen("frame, confidence", "\"Frame\", Confidence", 1));
-    for text in [saved.clone(), saved.replace(", ", ",").replace('\n', "\r\n"), saved.replace(", ", ";")] {
-        assert!(read(&text).expect("OpenFace") == landmarks, "{text}");
+    let plain = saved.replace(", ", ",");
+    for text in [&saved, &plain.replace('\n', "\r\n"), &plain.replace(',', ";")] {
+        assert!(read(text).expect("OpenFace") == landmarks, "{text}");
     }
     // MediaPipe's points in pixels, and rows that pandas numbers by fractions.
     let pixels = read(&table("frame", &[("7.0", 10.0)], 478, 1.0)).expect("pixels");

@@ -121,7 +121,7 @@ fn finished_folds_are_not_run_again() {
     assert_eq!(folds(&events, false), 5);
     assert_eq!(epochs(&events), 15);
 
-    // As a killed run leaves it: two folds are missing, of one there is half a file.
+    // As a killed run leaves it: two folds are missing, of one there is half a file. In another a digit has changed.
     let mut files: Vec<_> =
         std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.sort();
@@ -130,9 +130,14 @@ fn finished_folds_are_not_run_again() {
     std::fs::remove_file(&files[3]).unwrap();
     let text = std::fs::read(&files[1]).unwrap();
     std::fs::write(&files[1], &text[..text.len() / 2]).unwrap();
+    let mut text = std::fs::read(&files[2]).unwrap();
+    let digit = text.iter().rposition(|byte| *byte == b']').unwrap() - 4;
+    assert!(text[digit].is_ascii_digit());
+    text[digit] ^= 1;
+    std::fs::write(&files[2], &text).unwrap();
     let (resumed, events) = run::<StstNet>(&samples, &protocol, Some(folder.path()), 2);
-    assert_eq!(folds(&events, true), 2);
-    assert_eq!(epochs(&events), 9);
+    assert_eq!(folds(&events, true), 1);
+    assert_eq!(epochs(&events), 12);
     assert_eq!(resumed.predictions, whole.predictions);
 
     // Another seed, another network, other features: other folds.

@@ -227,7 +227,10 @@ mod tests {
             assert_eq!(row.face.as_ref().unwrap().eyes, [[22.0, 20.0], [40.0, 21.0]]);
         }
         let note = table.note().unwrap();
-        assert!(note.contains("landmarks.csv: left_eye is to the right") && note.contains("1 of 2 rows"), "{note}");
+        assert!(
+            note.contains("landmarks.csv: left_eye is to the right") && note.contains("1 of 2 rows"),
+            "{note}"
+        );
         assert_eq!(read(&format!("{eyes}\n22,20,40,21\n"), &[]).unwrap().note(), None);
     }
 
@@ -238,7 +241,8 @@ mod tests {
         assert_eq!(table.first().map(|(row, _)| row.line).unwrap(), 3);
         let error = table.of("a").unwrap_err().to_string();
         assert!(error.contains("no landmarks of a (in row 2 the tracker found no face)"), "{error}");
-        let none = read(&format!("{eyes}\na,0,0,0,0,0\n"), &["pair"]).unwrap().first().unwrap_err().to_string();
+        let none =
+            read(&format!("{eyes}\na,0,0,0,0,0\n"), &["pair"]).unwrap().first().unwrap_err().to_string();
         assert!(none.contains("expected a row of landmarks, found 1 in which"), "{none}");
         let hole = read(&format!("{eyes}\na,1,10,10,,10\n"), &["pair"]).unwrap_err().to_string();
         assert!(hole.contains("row 2, right_eye_x: expected a place in a frame"), "{hole}");

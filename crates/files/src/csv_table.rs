@@ -295,7 +295,10 @@ mod tests {
         let missing = numbers("a,b,c,d,e,f\n1,,NaN,-nan(ind),NA,inf\n");
         assert_eq!(missing, Ok(vec![Some(1.0), None, None, None, None, None]));
         assert_eq!(numbers("a,b\n1,\"2,5\"\n"), Err("row 2, b: expected a number, found `2,5`".to_owned()));
-        assert_eq!(numbers("a,b\n1,nano\u{7}\n").unwrap_err(), "row 2, b: expected a number, found `nano\\u{7}`");
+        assert_eq!(
+            numbers("a,b\n1,nano\u{7}\n").unwrap_err(),
+            "row 2, b: expected a number, found `nano\\u{7}`"
+        );
     }
 
     #[test]
@@ -312,7 +315,8 @@ mod tests {
 
     #[test]
     fn whole_numbers_may_have_a_fraction_of_zeros() {
-        let numbers = ["19", " 19.0 ", "19.", "0.00", "19.5", "-1", "", ".0", "1e3", "19.0.0"].map(whole_number);
+        let numbers =
+            ["19", " 19.0 ", "19.", "0.00", "19.5", "-1", "", ".0", "1e3", "19.0.0"].map(whole_number);
         let (nineteen, none) = (Some(19), None);
         assert_eq!(numbers, [nineteen, nineteen, nineteen, Some(0), none, none, none, none, none, none]);
     }

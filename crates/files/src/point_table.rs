@@ -140,7 +140,8 @@ impl PointTable {
             let found = "none for it or its y".to_owned();
             FileProblem::Cell { row: row.line, column, expected, found }.in_file(&self.path)
         };
-        let points = row.points.iter().enumerate().map(|(number, point)| point.ok_or_else(|| missing(number)));
+        let points =
+            row.points.iter().enumerate().map(|(number, point)| point.ok_or_else(|| missing(number)));
         points.collect::<Result<_, _>>().map(Some)
     }
 }
@@ -194,7 +195,8 @@ impl Columns {
                 _ => (PointSet::MediaPipe, MEDIAPIPE_OF_DLIB.iter().map(|&point| all[point]).collect()),
             }
         } else if count_of(table, 'x') > 0 {
-            let next = if xs.len() > ys.len() { format!("y_{}", ys.len()) } else { format!("x_{}", xs.len()) };
+            let next =
+                if xs.len() > ys.len() { format!("y_{}", ys.len()) } else { format!("x_{}", xs.len()) };
             let (x, y) = (count_of(table, 'x'), count_of(table, 'y'));
             let ends = match xs.len() == x && ys.len() == y && x == y {
                 true => format!("they end before {next}"),
@@ -245,7 +247,9 @@ impl Columns {
         let mut there = points.iter().flatten();
         let Some(one) = there.next() else { return Ok((read, None)) };
         // Two eyes in one place are a mistake.
-        if self.set != PointSet::Eyes && points.len() == 1 + there.clone().filter(|point| *point == one).count() {
+        if self.set != PointSet::Eyes
+            && points.len() == 1 + there.clone().filter(|point| *point == one).count()
+        {
             return Ok((read, None));
         }
         let largest = points.iter().flatten().flatten().fold(0.0, |most: f64, value| most.max(value.abs()));
@@ -273,7 +277,8 @@ fn count_of(table: &CsvTable, axis: char) -> usize {
 /// The number of the point in a name such as `x_12`.
 fn number_of(name: &str, axis: char) -> Option<usize> {
     let digits = name.strip_prefix(axis)?.strip_prefix('_')?;
-    let is_plain = digits.bytes().all(|digit| digit.is_ascii_digit()) && (digits == "0" || !digits.starts_with('0'));
+    let is_plain =
+        digits.bytes().all(|digit| digit.is_ascii_digit()) && (digits == "0" || !digits.starts_with('0'));
     is_plain.then(|| digits.parse().ok()).flatten()
 }
 
@@ -374,12 +379,15 @@ mod tests {
 
     #[test]
     fn rows_in_which_the_tracker_failed_have_no_face() {
-        let rows = [("1,1", 2.0), ("2,0", 2.0), ("3,False", 2.0), ("4,TRUE", 2.0), ("5,", 2.0), ("6,1.0", 2.0)];
+        let rows =
+            [("1,1", 2.0), ("2,0", 2.0), ("3,False", 2.0), ("4,TRUE", 2.0), ("5,", 2.0), ("6,1.0", 2.0)];
         let with_success = read(&table("Frame,Success", ['x', 'y'], 68, &rows, 1.0)).unwrap();
         let has_face: Vec<bool> = with_success.rows.iter().map(|row| !row.points.is_empty()).collect();
         assert_eq!(has_face, [true, false, false, true, true, true]);
         assert_eq!(with_success.rows[5].keys, ["6"]);
-        assert!(read(&table("success", ['x', 'y'], 68, &[("maybe", 2.0)], 1.0)).unwrap_err().contains("0 or 1"));
+        assert!(
+            read(&table("success", ['x', 'y'], 68, &[("maybe", 2.0)], 1.0)).unwrap_err().contains("0 or 1")
+        );
 
         let header = table("frame", ['x', 'y'], 68, &[], 1.0);
         let fill = |cell: &str| format!("{header}1{}\n", format!(",{cell}").repeat(136));

@@ -115,7 +115,11 @@ impl Landmarks {
             let dataset = clip.dataset.clone();
             rows.push((vec![subject.clone(), name.clone(), dataset.clone(), onset.to_string()], face));
             let key = ClipName { dataset, subject: subject.clone(), clip: name.clone() };
-            landmarks.clips.entry(key).or_default().push(Row { frame: Some(*onset), face: Some(face.clone()) });
+            landmarks
+                .clips
+                .entry(key)
+                .or_default()
+                .push(Row { frame: Some(*onset), face: Some(face.clone()) });
         }
         let written = write_landmarks(path, &[NEEDED, OPTIONAL].concat(), force, rows);
         written.map_err(|error| ExtractError { clip: "all clips".to_owned(), problem: error.into() })?;

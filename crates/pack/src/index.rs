@@ -23,6 +23,8 @@ const LONGEST_LINE: usize = 1 << 16;
 /// Bytes that are read at once.
 const CHUNK: u64 = 4 << 20;
 const MOST_PAIRS: usize = 1 << 24;
+/// Lines that are parsed at once.
+const BATCH: usize = 1 << 12;
 
 /// A line of the index.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -143,25 +145,32 @@ pub fn read_index(
     let place = dir.join(INDEX_NAME);
     let mut tars: BTreeMap<String, Arc<Tar>> = BTreeMap::new();
     let mut last = Arc::from([]);
-    let (mut number, mut pairs, mut about) = (0, 0, None);
+    let (mut read, mut pairs, mut about) = (0_usize, 0, None);
     let on_block = |block: &[u8], total: u64| {
-        let parsed: Vec<_> = block
-            .par_split(|byte| *byte == b'\n')
-            .map(|line| (!line.is_empty()).then(|| ReadPair::parse(line, fields)).transpose())
-            .collect();
+        let lines = block.split(|byte| *byte == b'\n');
+        let first = read + 1;
+        read += lines.clone().count();
+        let mut filled = lines.zip(first..).filter(|(line, _)| !line.is_empty());
         let about = *about.get_or_insert_with(|| {
-            let found = parsed.iter().filter(|parsed| matches!(parsed, Ok(Some(_)))).count() as u64;
+            let found = filled.clone().count() as u64;
             usize::try_from(total.saturating_mul(found) / (block.len() as u64 + 1))
                 .unwrap_or(MOST_PAIRS)
                 .min(MOST_PAIRS)
         });
-        for parsed in parsed {
-            number += 1;
+        // A batch at a time: what is read of a line takes more memory than a short line does.
+        let batches = std::iter::from_fn(|| {
+            let batch: Vec<_> = filled.by_ref().take(BATCH).collect();
+            (!batch.is_empty()).then(|| {
+                let parse = |&(line, number)| (number, ReadPair::parse(line, fields));
+                batch.par_iter().map(parse).collect::<Vec<_>>()
+            })
+        });
+        for (number, parsed) in batches.flatten() {
             let wrong = |reason: String| ReadError::Content {
                 path: place.path(),
                 reason: format!("line {number}: {reason}; copy the index again, or pack the dataset again"),
             };
-            let Some(ReadPair { record, endings, spans }) = parsed.map_err(wrong)? else { continue };
+            let ReadPair { record, endings, spans } = parsed.map_err(wrong)?;
             pairs += 1;
             if pairs > MOST_PAIRS {
                 return Err(wrong(format!("expected at most {MOST_PAIRS} pairs, found more")));

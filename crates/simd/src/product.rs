@@ -119,7 +119,9 @@ impl Product<'_> {
         let width = panel_columns(isa);
         let Self { rows, depth, columns, .. } = *self;
         let right = Steps { row: width, panel: self.right_panel };
-        let Some(whole) = columns.checked_next_multiple_of(width) else { panic!("a matrix larger than memory") };
+        let Some(whole) = columns.checked_next_multiple_of(width) else {
+            panic!("a matrix larger than memory")
+        };
         let right = right.extent(self.right.rows(depth), whole, width);
         assert!(self.right.len() >= right, "right side: {} elements of {right}", self.right.len());
         if let Start::PerRow(start) = self.start {

@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use srflow_files::{
     FileError, FileKind, FileProblem, PARTIAL_EXTENSION, SHA256SUMS, create_folder, hexadecimal,
-    parse_error_in_words, parse_sha256sums_line, read_file, read_text, remove_partial, sha256_of_file, sha256sums_line,
-    write_file,
+    parse_error_in_words, parse_sha256sums_line, read_file, read_text, remove_partial, sha256_of_file,
+    sha256sums_line, write_file,
 };
 use srflow_nn::{About, AdamWState, Layout, StoredAs, WeightsError, read_safetensors, safetensors_bytes};
 
@@ -166,7 +166,8 @@ impl Checkpoints {
         });
         let optimizer = safetensors_bytes(optimizer, StoredAs::F32, None);
         let files = [(MODEL, &model), (OPTIMIZER, &optimizer), (STATE, &state.into_bytes())];
-        let line = |(name, bytes): &(&str, &Vec<u8>)| sha256sums_line(&hexadecimal(Sha256::digest(bytes)), name);
+        let line =
+            |(name, bytes): &(&str, &Vec<u8>)| sha256sums_line(&hexadecimal(Sha256::digest(bytes)), name);
         let hashes = files.iter().map(line).collect::<String>().into_bytes();
         let files = [&files[..], &[(SHA256SUMS, &hashes)]].concat();
         let partial = self.folder.join(format!("{UNFINISHED}{:08}.{PARTIAL_EXTENSION}", progress.step));
@@ -288,7 +289,10 @@ fn broken(path: &Path, reason: String) -> CheckpointError {
 fn verify(checkpoint: &Path) -> Result<(), CheckpointError> {
     let path = checkpoint.join(SHA256SUMS);
     if !path.exists() {
-        log::warn!("{}: an earlier version wrote this checkpoint, without hashes to verify it by", checkpoint.display());
+        log::warn!(
+            "{}: an earlier version wrote this checkpoint, without hashes to verify it by",
+            checkpoint.display()
+        );
         return Ok(());
     }
     let text = read_file(&path, FileKind::Checkpoint)?;
@@ -464,7 +468,8 @@ mod tests {
             let run = tempfile::tempdir().unwrap();
             let checkpoints = Checkpoints::of_run(run.path());
             checkpoints.write(&checkpoint(1), &layout()).unwrap();
-            [MODEL, OPTIMIZER, STATE, SHA256SUMS].map(|name| fs::read(checkpoints.path(1).join(name)).unwrap())
+            [MODEL, OPTIMIZER, STATE, SHA256SUMS]
+                .map(|name| fs::read(checkpoints.path(1).join(name)).unwrap())
         });
         assert_eq!(one, two);
     }

@@ -102,7 +102,9 @@ pub fn config_of_run(run: &Path) -> Result<Config, TrainError> {
                 "{} as the run was started; undo the change, or start a new run with this file as `config`",
                 excerpt(expected)
             );
-            return Err(FileProblem::field("the configuration", expected, excerpt(found)).in_file(&path).into());
+            return Err(FileProblem::field("the configuration", expected, excerpt(found))
+                .in_file(&path)
+                .into());
         }
     }
     Ok(config)

@@ -126,11 +126,7 @@ impl Server {
             // Not in the scope: a client that reads slowly must not keep the program from ending.
             thread::Builder::new().name("srflow connection".to_owned()).spawn(move || {
                 // A client that breaks its connection needs no answer.
-                _ = if is_refused {
-                    refuse(&stream)
-                } else {
-                    serve(&stream, address, &asked)
-                };
+                _ = if is_refused { refuse(&stream) } else { serve(&stream, address, &asked) };
                 _ = stream.shutdown(Shutdown::Both);
                 open.fetch_sub(1, Ordering::Relaxed);
             })?;
@@ -306,7 +302,9 @@ mod tests {
         with_server(|address| {
             let page = get(address, "/?x#y", "");
             assert!(page.starts_with("HTTP/1.1 200 OK\r\n") && page.ends_with("\r\n\r\n<p>page"), "{page}");
-            for header in ["X-Content-Type-Options: nosniff", "Content-Security-Policy: ", "Content-Length: 7"] {
+            for header in
+                ["X-Content-Type-Options: nosniff", "Content-Security-Policy: ", "Content-Length: 7"]
+            {
                 assert!(page.contains(header), "{page}");
             }
             assert!(get(address, "/pack/large", "").len() > 4 << 20);
@@ -318,7 +316,10 @@ mod tests {
                 ("421 ", "GET / HTTP/1.1\r\n\r\n".to_owned()),
                 ("400 ", "nonsense\r\n\r\n".to_owned()),
                 ("431 ", format!("GET / HTTP/1.1\r\n{}\r\n", "a: b\r\n".repeat(MAX_HEADERS + 1))),
-                ("431 ", format!("GET / HTTP/1.1\r\nHost: {address}\r\nx: {}", "y".repeat(2 * MAX_HEAD_BYTES))),
+                (
+                    "431 ",
+                    format!("GET / HTTP/1.1\r\nHost: {address}\r\nx: {}", "y".repeat(2 * MAX_HEAD_BYTES)),
+                ),
             ];
             for (status, request) in refusals {
                 let answer = answered(address, &request);

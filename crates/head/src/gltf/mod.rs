@@ -7,6 +7,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
+use std::rc::Rc;
 
 use glam::{DMat3, DMat4, DVec3, Vec2, Vec3};
 use srflow_files::{FileKind, FileProblem};
@@ -53,6 +54,12 @@ const PARTS: [(&str, Region); 22] = [
     ("sclera", Region::Eyeball),
 ];
 
+/// Most primitives and morph targets of all instances of the meshes, which a small file can repeat without end.
+const MAX_PARTS: usize = 1 << 20;
+
+/// The joint of the model that each joint of a skin is, and where the joint takes vertices; `None` for joints outside the scene.
+type Posed = Rc<[Option<(u32, DMat4)>]>;
+
 /// Reads a model, with its landmarks if they are found.
 ///
 /// # Errors
@@ -83,6 +90,12 @@ struct Builder<'a> {
     nodes: Vec<Placed>,
     /// The joint of each node that is one.
     joint_of: HashMap<usize, u32>,
+    /// Scene from node, by the node's number in the document.
+    globals: HashMap<usize, DMat4>,
+    /// By the number of the skin.
+    posed: HashMap<usize, Posed>,
+    /// Primitives and morph targets so far.
+    parts: usize,
     joints: Vec<Joint>,
     template: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
@@ -100,8 +113,11 @@ impl<'a> Builder<'a> {
         let nodes = document.scene()?;
         let mut builder = Self {
             document,
+            globals: nodes.iter().map(|placed| (placed.node, placed.global)).collect(),
             nodes,
             joint_of: HashMap::new(),
+            posed: HashMap::new(),
+            parts: 0,
             joints: Vec::new(),
             template: Vec::new(),
             triangles: Vec::new(),
@@ -142,14 +158,15 @@ impl<'a> Builder<'a> {
                 _ => {}
             }
         }
-        let above = |mut placed: usize, nodes: &[Placed]| loop {
-            placed = nodes[placed].parent?;
-            if is_joint[nodes[placed].node] {
-                return Some(placed);
-            }
-        };
+        // The next joint above each node; parents come first.
+        let mut above: Vec<Option<usize>> = Vec::with_capacity(self.nodes.len());
+        for placed in &self.nodes {
+            above.push(placed.parent.and_then(|parent| {
+                if is_joint[self.nodes[parent].node] { Some(parent) } else { above[parent] }
+            }));
+        }
         let listed: Vec<usize> = (0..self.nodes.len()).filter(|&p| is_joint[self.nodes[p].node]).collect();
-        let tops = listed.iter().filter(|&&placed| above(placed, &self.nodes).is_none()).count();
+        let tops = listed.iter().filter(|&&placed| above[placed].is_none()).count();
         if tops != 1 {
             self.joints.extend(Joint::of_roles([Vec3::ZERO; 5]).into_iter().take(1));
         }
@@ -157,7 +174,7 @@ impl<'a> Builder<'a> {
         for placed in listed {
             let Placed { node, global, .. } = self.nodes[placed];
             let number = self.joints.len();
-            let parent = above(placed, &self.nodes).and_then(|above| number_of.get(&above).copied());
+            let parent = above[placed].and_then(|above| number_of.get(&above).copied());
             let name = &json.nodes[node].name;
             self.joints.push(Joint {
                 name: if name.is_empty() { format!("node {node}") } else { name.clone() },
@@ -226,6 +243,11 @@ impl<'a> Builder<'a> {
             // Points and lines are not part of a head.
             if primitive.mode.unwrap_or(TRIANGLES) != TRIANGLES {
                 continue;
+            }
+            self.parts += 1 + primitive.targets.len().max(names.len());
+            if self.parts > MAX_PARTS {
+                let expected = format!("at most {MAX_PARTS} primitives and morph targets in all instances");
+                return Err(problem("meshes", &expected, "more"));
             }
             let material = primitive.material.and_then(|material| json.materials.get(material));
             let words =
@@ -309,6 +331,27 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
+    /// The joints of a skin in the pose of the file.
+    fn posed(&mut self, number: usize) -> Result<Posed, FileProblem> {
+        if let Some(posed) = self.posed.get(&number) {
+            return Ok(posed.clone());
+        }
+        let skin = &self.document.json.skins[number];
+        let bind: Vec<DMat4> = match skin.inverse_bind_matrices {
+            Some(accessor) => {
+                let numbers = self.document.numbers(accessor, 16, Some(skin.joints.len()))?;
+                numbers.as_chunks().0.iter().map(|m| DMat4::from_cols_array(&m.map(f64::from))).collect()
+            }
+            None => vec![DMat4::IDENTITY; skin.joints.len()],
+        };
+        let joints = skin.joints.iter().zip(&bind);
+        let posed: Posed = joints
+            .map(|(joint, bind)| Some((*self.joint_of.get(joint)?, *self.globals.get(joint)? * *bind)))
+            .collect();
+        self.posed.insert(number, posed.clone());
+        Ok(posed)
+    }
+
     /// Where each vertex goes in the pose of the file, and, in [`Self::skinning`], the joints that it follows.
     fn transforms(
         &mut self,
@@ -321,22 +364,7 @@ impl<'a> Builder<'a> {
             (0..count).for_each(|_| self.skinning.push([(joint, 1.0)]));
             return Ok(vec![self.nodes[placed].global; count]);
         };
-        let skin = &self.document.json.skins[skin];
-        let bind: Vec<DMat4> = match skin.inverse_bind_matrices {
-            Some(accessor) => {
-                let numbers = self.document.numbers(accessor, 16, Some(skin.joints.len()))?;
-                numbers.as_chunks().0.iter().map(|m| DMat4::from_cols_array(&m.map(f64::from))).collect()
-            }
-            None => vec![DMat4::IDENTITY; skin.joints.len()],
-        };
-        let globals: HashMap<usize, DMat4> =
-            self.nodes.iter().map(|placed| (placed.node, placed.global)).collect();
-        let posed: Vec<Option<(u32, DMat4)>> = skin
-            .joints
-            .iter()
-            .zip(&bind)
-            .map(|(joint, bind)| Some((*self.joint_of.get(joint)?, *globals.get(joint)? * *bind)))
-            .collect();
+        let posed = self.posed(skin)?;
         let mut influences: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count];
         for set in 0.. {
             let attribute = |name: &str| primitive.attributes.get(&format!("{name}_{set}")).copied();

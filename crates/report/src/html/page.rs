@@ -50,7 +50,8 @@ impl Page {
     /// and what would reorder or hide them is spelt out.
     pub fn html(&self) -> String {
         let contents = self.sections.len() > 1;
-        let mut figures = self.opening.iter().chain(self.sections.iter().flat_map(|section| &section.figures));
+        let mut figures =
+            self.opening.iter().chain(self.sections.iter().flat_map(|section| &section.figures));
         let embeds = figures.any(|figure| figure.0.0.contains("<iframe"));
         let policy = [POLICY, if embeds { POLICY_OF_EMBEDDED } else { "" }].concat();
         let page = html! {

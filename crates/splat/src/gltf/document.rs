@@ -11,8 +11,10 @@ use serde_json::Value;
 use srflow_core::excerpt;
 use srflow_files::{FileError, FileKind, FileProblem, parse_error_in_words, read_file};
 
-/// Most numbers that a small file may expand to: accessors may share bytes, or have none. A larger file may hold a number per byte.
-const MAX_VALUES: usize = 1 << 26;
+/// Most numbers that a file may expand to, in any case and per byte: accessors may share bytes, or have none, as those of sparse morph
+/// targets do.
+const MIN_VALUES: usize = 1 << 21;
+const MAX_VALUES_PER_BYTE: usize = 16;
 
 /// Extensions without which a file cannot be understood, and which this understands or has no use for.
 const KNOWN_EXTENSIONS: [&str; 2] = ["KHR_mesh_quantization", "KHR_gaussian_splatting"];
@@ -209,7 +211,8 @@ impl Document {
                 _ => return Err(in_file(problem("buffer", "a uri or a binary chunk", "neither"))),
             });
         }
-        let most_values = MAX_VALUES.max(buffers.iter().map(Vec::len).sum());
+        let bytes: usize = buffers.iter().map(Vec::len).sum();
+        let most_values = MIN_VALUES.max(bytes.saturating_mul(MAX_VALUES_PER_BYTE));
         Ok(Self { json, buffers, values: Cell::new(0), most_values })
     }
 

@@ -2,7 +2,7 @@
 
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use sha2::{Digest, Sha256};
 use srflow_files::{
@@ -10,10 +10,11 @@ use srflow_files::{
 };
 
 use crate::USER_AGENT;
+use crate::range::SLOWEST;
 
 /// Limit on a download; every published file is far smaller.
 const MAX_DOWNLOAD_BYTES: u64 = 4 << 30;
-/// Connection timeout, and timeout until the response begins.
+/// Timeout of the connection, until the response begins, and while nothing arrives.
 const TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Errors of [`download_if_missing`].
@@ -73,10 +74,12 @@ fn fetch(
     let config = ureq::Agent::config_builder()
         .timeout_connect(Some(TIMEOUT))
         .timeout_recv_response(Some(TIMEOUT))
+        .timeout_per_read(Some(TIMEOUT))
         .user_agent(USER_AGENT)
         .build();
     let mut response =
         ureq::Agent::new_with_config(config).get(url).call().map_err(|error| error.to_string())?;
+    let start = Instant::now();
     let len = response.body().content_length();
     let mut body = response.body_mut().as_reader().take(MAX_DOWNLOAD_BYTES);
     let written = write_atomically(path, |writer| {
@@ -89,6 +92,11 @@ fn fetch(
             hash.update(&buffer[..count]);
             writer.write_all(&buffer[..count])?;
             done += count as u64;
+            if start.elapsed() > TIMEOUT + Duration::from_secs(done / SLOWEST) {
+                let problem =
+                    format!("expected {SLOWEST} bytes a second, found {done} in {:.0?}", start.elapsed());
+                return Err(io::Error::new(io::ErrorKind::TimedOut, problem));
+            }
             progress(done, len);
         }
         let found = hexadecimal(hash.finalize());

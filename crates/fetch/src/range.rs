@@ -11,7 +11,7 @@ use ureq::http::{HeaderMap, Response, StatusCode, header};
 use crate::USER_AGENT;
 
 /// Slowest rate at which an answer may arrive on the whole, in bytes per second.
-const SLOWEST: u64 = 32 << 10;
+pub(crate) const SLOWEST: u64 = 32 << 10;
 /// The longest time that a server may ask to wait before the next attempt.
 const LONGEST_WAIT: Duration = Duration::from_secs(60);
 /// Memory taken for an answer before its bytes arrive.

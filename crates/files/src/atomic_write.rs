@@ -1,6 +1,6 @@
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -18,6 +18,8 @@ const NAMES: u32 = 1000;
 ///
 /// The rename is atomic for other processes and if this one is killed, but not for a power cut.
 ///
+/// A file on a read-only disk counts as written if it has this content already: a finished result stays one.
+///
 /// # Errors
 /// When the folder cannot be written to, or with the error of `write`.
 pub fn write_atomically(
@@ -29,7 +31,11 @@ pub fn write_atomically(
         let advice = "give the path of a file, in a folder that exists and can be written to";
         move |error| FileProblem::Place { doing, error, advice }.in_file(path)
     };
-    let (partial, file) = create_partial(path).map_err(misplaced("creating"))?;
+    let (partial, file) = match create_partial(path) {
+        Ok(created) => created,
+        Err(error) if is_read_only(&error) && already_has(path, write) => return Ok(()),
+        Err(error) => return Err(misplaced("creating")(error)),
+    };
     let written = fill(file, write).map_err(failed("writing"));
     let result =
         written.and_then(|()| fs::rename(&partial, path).map_err(misplaced("renaming the finished file")));
@@ -37,6 +43,33 @@ pub fn write_atomically(
         let _ = fs::remove_file(&partial); // the first error is the one to report
     }
     result
+}
+
+fn is_read_only(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::ReadOnlyFilesystem | io::ErrorKind::PermissionDenied)
+}
+
+/// Whether the file at `path` has the content that `write` writes, which a file elsewhere takes meanwhile.
+fn already_has(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> bool {
+    let Some(name) = path.file_name().filter(|_| path.is_file()) else { return false };
+    let Ok((copy, file)) = create_partial(&std::env::temp_dir().join(name)) else { return false };
+    let same = fill(file, write).and_then(|()| {
+        let [mut one, mut other] = [BufReader::new(File::open(path)?), BufReader::new(File::open(&copy)?)];
+        loop {
+            let (left, right) = (one.fill_buf()?, other.fill_buf()?);
+            let len = left.len().min(right.len());
+            if left[..len] != right[..len] || (len == 0 && left.len() != right.len()) {
+                return Ok(false);
+            }
+            if len == 0 {
+                return Ok(true);
+            }
+            one.consume(len);
+            other.consume(len);
+        }
+    });
+    _ = fs::remove_file(copy);
+    same.unwrap_or(false)
 }
 
 /// Writes a text or bytes as a file, as [`write_atomically`] does.
@@ -123,6 +156,21 @@ mod tests {
     fn names(folder: &Path) -> Vec<String> {
         let entries = fs::read_dir(folder).unwrap();
         entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+    }
+
+    #[test]
+    fn a_file_with_the_same_content_is_recognized() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("same.bin");
+        let content: Vec<u8> = (0..40_000_u32).flat_map(u32::to_le_bytes).collect();
+        let has = |content: &[u8]| already_has(&path, |file| file.write_all(content));
+        assert!(!has(b""), "no file");
+        write_file(&path, &content).unwrap();
+        assert!(has(&content));
+        assert!(!has(&content[..content.len() - 1]) && !has(&[&content[..], b"x"].concat()) && !has(b""));
+        let mut changed = content.clone();
+        changed[99_999] ^= 1;
+        assert!(!has(&changed));
     }
 
     #[test]

@@ -19,8 +19,8 @@ mod sha256;
 pub use atomic_write::{PARTIAL_EXTENSION, create_folder, remove_partial, write_atomically, write_file};
 pub use codec::hdf5::{Hdf5Array, MAGIC as HDF5_MAGIC, hdf5_arrays};
 pub use codec::npy::{Array, npy_pickle, read_npy, read_npy_plane, write_npy, write_npy_plane};
-pub use codec::npz::open_zip;
 pub use codec::npz::{Npz, NpzArray, write_npz};
+pub use codec::npz::{open_zip, write_zip};
 pub use codec::{
     FlowFormat, encode_flow, encode_flow_half, read_flow, read_flow_as, write_flow, write_flow_as,
 };

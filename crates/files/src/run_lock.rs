@@ -41,7 +41,35 @@ impl RunLock {
     /// # Errors
     /// When another process holds the lock, or its file cannot be created.
     pub fn take(folder: &Path) -> Result<Self, LockError> {
-        let path = folder.join(LOCK);
+        Self::named(folder, LOCK)
+    }
+
+    /// Locks one part of the work in `folder`, such as `1-of-4`, beside which other processes do the other parts.
+    ///
+    /// # Errors
+    /// Those of [`Self::take`].
+    pub fn take_part(folder: &Path, part: &str) -> Result<Self, LockError> {
+        Self::named(folder, &format!("{LOCK}-{part}"))
+    }
+
+    /// Locks all parts of the work in `folder` that were ever begun, and the whole.
+    ///
+    /// # Errors
+    /// Those of [`Self::take`], for any of them.
+    pub fn take_all(folder: &Path) -> Result<Vec<Self>, LockError> {
+        let failed = |error| FileProblem::Io { doing: "listing the folder", error }.in_file(folder);
+        let mut locks = vec![Self::take(folder)?];
+        for entry in std::fs::read_dir(folder).map_err(failed)? {
+            let name = entry.map_err(failed)?.file_name();
+            if let Some(name) = name.to_str().filter(|name| name.starts_with(LOCK) && *name != LOCK) {
+                locks.push(Self::named(folder, name)?);
+            }
+        }
+        Ok(locks)
+    }
+
+    fn named(folder: &Path, name: &str) -> Result<Self, LockError> {
+        let path = folder.join(name);
         let failed = |error| FileProblem::Io { doing: "locking the file", error }.in_file(&path);
         let options = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
         let mut file = options.map_err(failed)?;
@@ -106,5 +134,15 @@ mod tests {
         // A process that died leaves a note, but no lock.
         std::fs::write(folder.path().join(LOCK), "process 1 on elsewhere\n").unwrap();
         RunLock::take(folder.path()).unwrap();
+    }
+
+    #[test]
+    fn parts_are_locked_beside_each_other_but_not_beside_the_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let parts = ["1-of-2", "2-of-2"].map(|part| RunLock::take_part(folder.path(), part).unwrap());
+        assert!(matches!(RunLock::take_part(folder.path(), "2-of-2"), Err(LockError::Held { .. })));
+        assert!(matches!(RunLock::take_all(folder.path()), Err(LockError::Held { .. })));
+        drop(parts);
+        assert_eq!(RunLock::take_all(folder.path()).unwrap().len(), 3);
     }
 }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use srflow_core::{excerpt, is_unprintable};
 use srflow_files::{FileError, FileKind, open_file, write_atomically};
+use srflow_report::{csv_cell, csv_value};
 
 /// A classifier's prediction for a clip after an epoch of training on all other subjects.
 #[derive(Debug, Clone, PartialEq)]
@@ -106,7 +107,8 @@ pub fn write_predictions(path: &Path, trials: &[Trial]) -> Result<(), FileError>
                     true => serde_json::to_string(score).unwrap_or_default(),
                     false => score.to_string(),
                 });
-                writer.write_record(fixed.into_iter().cloned().chain(scores))?;
+                let fixed = fixed.into_iter().map(|text| csv_cell(text).into_owned());
+                writer.write_record(fixed.chain(scores))?;
             }
         }
         writer.flush()
@@ -153,7 +155,7 @@ pub fn read_predictions(path: &Path) -> Result<Vec<Trial>, PredictionsError> {
         let line = record.position().map_or(0, csv::Position::line);
         let refused = |reason| PredictionsError::Value { path: path.to_owned(), line, reason };
         let [method, set, dataset, subject, clip, truth, epoch, predicted] =
-            columns.map(|at| record.get(at).unwrap_or_default());
+            columns.map(|at| csv_value(record.get(at).unwrap_or_default()));
         let class = |name: &str| {
             let is = |(number, class): (usize, &String)| {
                 class.eq_ignore_ascii_case(name.trim()) || number.to_string() == name.trim()

@@ -1,6 +1,7 @@
 //! Results as CSV: one row for each number of a table, so that any program can read them.
 
 use serde::Serialize;
+use srflow_report::csv_text;
 
 use crate::results::{METRICS, Outcome, baseline_name, by_set};
 use crate::summary::EpochScores;
@@ -70,5 +71,7 @@ fn text<L: Serialize>(names: &[&str], lines: &[L]) -> String {
         writer.serialize(line).expect("lines of one form go to memory");
     }
     let bytes = writer.into_inner().expect("memory does not fail");
-    String::from_utf8(bytes).expect("fields are strings")
+    let mut lines = csv::ReaderBuilder::new().has_headers(false).from_reader(&bytes[..]);
+    let cells = lines.records().map(|line| line.expect("as written").iter().map(str::to_owned).collect());
+    csv_text(cells)
 }

@@ -21,6 +21,12 @@ const GAP: u64 = 1 << 20;
 /// Largest member in bytes: that of the largest file of flow, nearly.
 pub(crate) const LARGEST_MEMBER: u32 = u32::MAX;
 
+/// Largest tar in bytes, and most members of one: a server could send them without end.
+const LARGEST_TAR: u64 = 1 << 40;
+const MOST_MEMBERS: u64 = 1 << 22;
+/// Most members of a sample.
+const MOST_ENDINGS: usize = u8::MAX as usize + 1;
+
 /// A tar on disk or on the web.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Tar {
@@ -187,7 +193,7 @@ pub fn scan(place: Place, on_sample: &mut dyn FnMut(SampleMembers)) -> Result<()
         }
     };
     let (mut offset, mut long_name, mut long_size) = (0_u64, None, None);
-    loop {
+    for members in 0_u64.. {
         let wrong = |reason: String| ReadError::Content {
             path: tar.place.path(),
             reason: format!("at byte {offset}: {reason}"),
@@ -199,6 +205,12 @@ pub fn scan(place: Place, on_sample: &mut dyn FnMut(SampleMembers)) -> Result<()
             ));
         };
         let Block::Member { name, size, kind } = ustar::parse(&header).map_err(wrong)? else { break };
+        if windows.total() > LARGEST_TAR || members >= MOST_MEMBERS {
+            let found = format!("{} bytes with {members} members and more", windows.total());
+            return Err(wrong(format!(
+                "expected a tar of at most {LARGEST_TAR} bytes and {MOST_MEMBERS} members, found {found}: divide it"
+            )));
+        }
         let size = long_size.take().filter(|_| kind == Kind::File).unwrap_or(size);
         let start = offset + BLOCK;
         let end = ustar::padded(size).and_then(|padded| start.checked_add(padded));
@@ -234,6 +246,12 @@ pub fn scan(place: Place, on_sample: &mut dyn FnMut(SampleMembers)) -> Result<()
                     let ending = ending.into();
                     let span = Span { offset: start, size: content_size, sha256: None };
                     match &mut current {
+                        Some((last, endings, _)) if last == key && endings.len() == MOST_ENDINGS => {
+                            let name = excerpt(key);
+                            return Err(wrong(format!(
+                                "expected at most {MOST_ENDINGS} members of {name}, found more"
+                            )));
+                        }
                         Some((last, endings, spans)) if last == key => {
                             endings.push(ending);
                             spans.push(span);
@@ -310,6 +328,8 @@ mod tests {
         assert_eq!(found, expected);
         let cut = samples(&tar.concat()[..2000]).unwrap_err();
         assert!(cut.contains("a.tar: at byte") && cut.contains("copy it again"), "{cut}");
+        let many: Vec<Vec<u8>> = (0..257).map(|number| member(&format!("a.{number}"), b"", b'0')).collect();
+        assert!(samples(&many.concat()).unwrap_err().contains("at most 256 members of a"));
         assert!(samples(b"no tar at all").unwrap_err().contains("the end of the file"));
         assert!(samples(&[b'x'; 600]).unwrap_err().contains("wrong checksum"));
     }

@@ -1,5 +1,6 @@
 //! Tables of scores with the best three of every column marked, as in the SRFlow paper (Table II).
 
+use std::borrow::Cow;
 use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
@@ -184,13 +185,14 @@ impl Table {
 
     /// A Markdown table: best bold, second italic, third underlined.
     pub fn markdown(&self) -> String {
-        let escape = |text: &str| text.replace('|', "\\|");
-        let mut out =
-            format!("| {} |\n|:--", self.headers().iter().map(|h| escape(h)).collect::<Vec<_>>().join(" | "));
+        let mut out = format!(
+            "| {} |\n|:--",
+            self.headers().iter().map(|header| markdown_escape(header)).collect::<Vec<_>>().join(" | ")
+        );
         out.push_str(&"|--:".repeat(self.columns.len()));
         out.push_str("|\n");
         for (row, marks) in self.rows.iter().zip(self.marks()) {
-            out.push_str(&format!("| {}", escape(&row.name)));
+            out.push_str(&format!("| {}", markdown_escape(&row.name)));
             for ((c, column), mark) in self.columns.iter().enumerate().zip(marks) {
                 let shown = column.show(row.value(c));
                 out.push_str(&match mark {
@@ -202,7 +204,7 @@ impl Table {
             }
             out.push_str(" |\n");
         }
-        self.notes.iter().for_each(|note| out += &format!("\n{note}\n"));
+        self.notes.iter().for_each(|note| out += &format!("\n{}\n", markdown_escape(note)));
         out
     }
 
@@ -276,11 +278,12 @@ impl Column {
     }
 }
 
-/// Lines of fields as CSV (RFC 4180, lines ended by a line feed).
+/// Lines of fields as CSV (RFC 4180, lines ended by a line feed), none of which is a formula; see [`csv_cell`].
 pub fn csv_text(lines: impl Iterator<Item = Vec<String>>) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     for line in lines {
-        writer.write_record(&line).expect("lines of equal length go to memory");
+        let cells = line.iter().map(|cell| csv_cell(cell).into_owned());
+        writer.write_record(cells).expect("lines of equal length go to memory");
     }
     let bytes = writer.into_inner().expect("memory does not fail");
     String::from_utf8(bytes).expect("fields are strings")
@@ -313,7 +316,36 @@ pub fn joined(tables: &[Table], form: impl Fn(&Table) -> String) -> String {
 
 /// Tables as Markdown, each under its title.
 pub fn markdown_file(tables: &[Table]) -> String {
-    joined(tables, |table| format!("{}\n\n{}", table.title, table.markdown()))
+    joined(tables, |table| format!("{}\n\n{}", markdown_escape(&table.title), table.markdown()))
+}
+
+/// Text as Markdown on one line that shows it as it is: markup, HTML and links are escaped.
+pub fn markdown_escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '\\' | '`' | '*' | '_' | '[' | ']' | '<' | '>' | '|' | '&' | '#' | '~' => {
+                escaped.extend(['\\', character])
+            }
+            _ if character.is_control() => escaped.push(' '),
+            _ => escaped.push(character),
+        }
+    }
+    escaped
+}
+
+/// A cell as text in spreadsheets, which take what begins with `=`, `+`, `-` or `@` and is no number for a formula: after an apostrophe.
+pub fn csv_cell(text: &str) -> Cow<'_, str> {
+    if is_formula(text) { format!("'{text}").into() } else { text.into() }
+}
+
+/// The text of a [`csv_cell`].
+pub fn csv_value(cell: &str) -> &str {
+    cell.strip_prefix('\'').filter(|text| is_formula(text)).unwrap_or(cell)
+}
+
+fn is_formula(text: &str) -> bool {
+    text.starts_with(['=', '+', '-', '@', '\t', '\r']) && text.parse::<f64>().is_err()
 }
 
 /// A file for `\input`: a comment with the required packages, then each `tabular` under its title as a comment.
@@ -443,6 +475,28 @@ mod tests {
         assert_eq!(&records[0][0], table.rows[0].name);
         assert_eq!(records[0][1].parse::<f64>().unwrap(), 0.1 + 0.2);
         assert_eq!(&records[1][1], "");
+    }
+
+    #[test]
+    fn no_cell_is_a_formula() {
+        for text in ["=1+1", "+a", "-a", "@a", "\t=1"] {
+            assert_eq!(csv_cell(text), format!("'{text}"));
+            assert_eq!(csv_value(&csv_cell(text)), text);
+        }
+        for text in ["-0.5", "+1e-3", "-inf", "a=b", "", "'a", "–"] {
+            assert_eq!((&*csv_cell(text), csv_value(text)), (text, text));
+        }
+        assert!(csv_text([vec!["=cmd|' /C calc'!A0".to_owned()]].into_iter()).starts_with("'=cmd"));
+    }
+
+    #[test]
+    fn markdown_shows_names_as_they_are() {
+        let mut table = table(Better::Lower, &[Some(1.0)]);
+        table.title = "a\n# b".into();
+        table.rows[0].name = "<img src=x>|[a](b) *c* `d`\n".into();
+        let text = markdown_file(&[table]);
+        assert!(text.starts_with("a \\# b\n\n| "), "{text}");
+        assert!(text.contains("\n| \\<img src=x\\>\\|\\[a\\](b) \\*c\\* \\`d\\`  | "), "{text}");
     }
 
     #[test]

@@ -299,7 +299,8 @@ impl Thing {
     fn in_folder(dir: &Path) -> anyhow::Result<Self> {
         let has = |name: &str| dir.join(name).is_file();
         let spec = |kind: &str| DatasetSpec { kind: kind.to_owned(), dir: dir.to_owned() };
-        if has("point_cloud.ply") {
+        // The last of them is the folder of a training.
+        if has("point_cloud.ply") || dir.join("point_cloud").is_dir() || has("run.json") {
             let text = format!("avatar:{}", dir.display());
             return Ok(Self::Head(text.parse().map_err(anyhow::Error::msg)?));
         }
@@ -317,7 +318,7 @@ impl Thing {
             return Ok(Self::Flows(files));
         }
         bail!(
-            "{}: expected the folder of an avatar (point_cloud.ply), of a dataset of srflow (dataset.json), of results (scores.json) or \
+            "{}: expected the folder of an avatar (point_cloud.ply) or of its training (run.json), of a dataset of srflow (dataset.json), of results (scores.json) or \
              of flow files; found none of them. Name other datasets with their kind, such as sintel-clean:{}",
             dir.display(),
             dir.display()

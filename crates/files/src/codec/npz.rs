@@ -183,15 +183,33 @@ pub fn write_npz(path: &Path, arrays: &[(&str, NpzArray)]) -> Result<(), FileErr
         }
     }
     write_atomically(path, |writer| {
-        let mut archive = ZipWriter::new(writer);
-        for (name, array) in arrays {
-            archive
-                .start_file(format!("{name}.npy"), options().large_file(array.bytes() > MAX_PLAIN_BYTES))?;
-            array.encode(&mut archive)?;
-        }
-        archive.finish()?;
-        Ok(())
+        write_zip(writer, |archive| {
+            for (name, array) in arrays {
+                let options = options().large_file(array.bytes() > MAX_PLAIN_BYTES);
+                archive.start_file(format!("{name}.npy"), options)?;
+                array.encode(archive)?;
+            }
+            Ok(())
+        })
     })
+}
+
+/// Writes a zip archive to `writer`, whose entries `fill` writes.
+///
+/// # Errors
+/// Those of `fill` and of the writer.
+pub fn write_zip<W: Write + Seek>(
+    writer: W,
+    fill: impl FnOnce(&mut ZipWriter<W>) -> io::Result<()>,
+) -> io::Result<()> {
+    let mut archive = ZipWriter::new(writer);
+    if let Err(error) = fill(&mut archive) {
+        // Dropped, it would try to end the archive, and print that it cannot.
+        std::mem::forget(archive);
+        return Err(error);
+    }
+    archive.finish()?;
+    Ok(())
 }
 
 /// Longer arrays are written as zip64.
@@ -246,11 +264,10 @@ fn options() -> SimpleFileOptions {
 }
 
 pub(super) fn encode(flow: &FlowField, writer: &mut (impl Write + Seek)) -> io::Result<()> {
-    let mut archive = ZipWriter::new(writer);
-    archive.start_file(NAME, options())?;
-    npy::encode_flow(flow, &mut archive)?;
-    archive.finish()?;
-    Ok(())
+    write_zip(writer, |archive| {
+        archive.start_file(NAME, options())?;
+        npy::encode_flow(flow, archive)
+    })
 }
 
 #[cfg(test)]

@@ -9,9 +9,9 @@ use std::io::Write;
 use std::path::Path;
 
 use burn::module::Module;
-use srflow_files::{FileError, write_atomically};
+use srflow_files::{FileError, write_atomically, write_zip};
+use zip::CompressionMethod;
 use zip::write::SimpleFileOptions;
-use zip::{CompressionMethod, ZipWriter};
 
 use super::About;
 use crate::parameters::{Parameters, parameters};
@@ -44,22 +44,21 @@ pub fn save_pytorch(
         tensor.name.insert_str(0, prefix);
     }
     write_atomically(path, |file| {
-        let mut zip = ZipWriter::new(file);
-        let options = SimpleFileOptions::default()
-            .compression_method(CompressionMethod::Stored)
-            .with_alignment(ALIGNMENT);
-        let mut write = |name: &str, bytes: &[u8]| {
-            zip.start_file(format!("{ARCHIVE}/{name}"), options)?;
-            zip.write_all(bytes)
-        };
-        write("data.pkl", &state.pickle(about))?;
-        write("byteorder", b"little")?;
-        for (key, storage) in state.storages.iter().enumerate() {
-            write(&format!("data/{key}"), &storage.bytes)?;
-        }
-        write("version", FORMAT_VERSION.as_bytes())?;
-        zip.finish()?;
-        Ok(())
+        write_zip(file, |zip| {
+            let options = SimpleFileOptions::default()
+                .compression_method(CompressionMethod::Stored)
+                .with_alignment(ALIGNMENT);
+            let mut write = |name: &str, bytes: &[u8]| {
+                zip.start_file(format!("{ARCHIVE}/{name}"), options)?;
+                zip.write_all(bytes)
+            };
+            write("data.pkl", &state.pickle(about))?;
+            write("byteorder", b"little")?;
+            for (key, storage) in state.storages.iter().enumerate() {
+                write(&format!("data/{key}"), &storage.bytes)?;
+            }
+            write("version", FORMAT_VERSION.as_bytes())
+        })
     })
 }
 

@@ -1,7 +1,7 @@
 //! Scores that are kept until all pairs have theirs, in the folder `scored` of the results.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use anyhow::Context as _;
@@ -9,12 +9,31 @@ use serde_json::json;
 use srflow_core::Shard;
 use srflow_data::flow::{Entry, EntryFile, FlowDataset};
 use srflow_eval::{KeptPair, KeptScores, ScoredPair};
-use srflow_files::{JsonLines, create_folder, read_json_lines};
+use srflow_files::{JsonLines, RunLock, create_folder, read_json_lines};
 
 use super::EvalJob;
 use crate::Watch;
 use crate::error::wrong_settings;
 use crate::methods::{self, MethodParameters, MethodSpec};
+
+/// Name of the folder in that of the results.
+const FOLDER: &str = "scored";
+
+/// Keeps other processes from evaluating a part into the same folder of results.
+pub fn lock(out: &Path, part: Shard) -> anyhow::Result<Vec<RunLock>> {
+    let folder = out.join(FOLDER);
+    create_folder(&folder)?;
+    Ok(match part {
+        Shard::WHOLE => RunLock::take_all(&folder)?,
+        Shard { number, of } => vec![RunLock::take_part(&folder, &format!("{number}-of-{of}"))?],
+    })
+}
+
+/// Removes the kept scores and the locks, once the tables are written.
+pub fn remove(out: &Path) -> anyhow::Result<()> {
+    let folder = out.join(FOLDER);
+    std::fs::remove_dir_all(&folder).with_context(|| format!("removing {}", folder.display()))
+}
 
 /// Scores that are kept until all pairs are scored.
 pub struct Kept {
@@ -71,7 +90,7 @@ impl Kept {
                     "methods": methods,
                 })
                 .to_string();
-                let folder = out.join("scored");
+                let folder = out.join(FOLDER);
                 let stamps = dataset.entries().iter().map(|entry| (entry.id(), stamp(entry))).collect();
                 let file = folder.join(format!("{}-of-{}.jsonl", shard.number, shard.of));
                 let mut kept = Self { file, folder, evaluation, stamps, found: Vec::new() };
@@ -108,7 +127,6 @@ impl Kept {
 
     /// The log of this process, without scores that are of no use any more.
     pub fn log(&self) -> anyhow::Result<JsonLines> {
-        create_folder(&self.folder)?;
         Ok(JsonLines::open(&self.file, |pair: &KeptPair| self.is_current(pair))?)
     }
 
@@ -119,11 +137,6 @@ impl Kept {
 
     pub fn of(&self, pair: &ScoredPair) -> KeptPair {
         KeptPair::new(pair, &self.evaluation, self.stamps.get(pair.name).cloned().unwrap_or_default())
-    }
-
-    /// Once the tables are written.
-    pub fn remove(self) -> anyhow::Result<()> {
-        std::fs::remove_dir_all(&self.folder).with_context(|| format!("removing {}", self.folder.display()))
     }
 }
 

@@ -203,6 +203,8 @@ impl Job for EvalJob {
             create_folder(dir)?;
         }
         let shard = self.shard.taken()?;
+        // Before the long work, so that an error costs nothing.
+        let lock = self.out.as_ref().map(|out| kept::lock(out, shard.shard)).transpose()?;
         let kept = Kept::open(self, &parameters, &dataset, &specs, shard.shard, watch)?;
         let windows = self.face_windows(&dataset, limit, watch)?;
         let settings = Settings {
@@ -219,9 +221,6 @@ impl Job for EvalJob {
             part: shard.shard,
             kept: None,
         };
-        if let Some(out) = &self.out {
-            create_folder(out)?; // before the long work, so that an error costs nothing
-        }
         let (mut figures, mut shown_pairs) = (Vec::new(), Vec::new());
         let mut log = kept.as_ref().map(Kept::log).transpose()?;
         let scores = kept.as_ref().map(|kept| kept.scores_without(&self.pictured(&dataset)));
@@ -263,9 +262,8 @@ impl Job for EvalJob {
         };
         if let Some(out) = &self.out {
             write(out, &scores, figures)?;
-            if let Some(kept) = kept {
-                kept.remove()?;
-            }
+            drop(lock);
+            kept::remove(out)?;
         }
         Ok(EvalReport::Scores(Box::new(scores)))
     }

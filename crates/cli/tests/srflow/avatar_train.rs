@@ -209,6 +209,11 @@ fn a_trained_avatar_is_scored_shown_and_opened() {
         .arg(dir.path().join("seen"))
         .output();
     succeeds(&seen.unwrap());
+
+    let page = dir.path().join("run.html");
+    let viewed = crate::srflow().current_dir(folder()).args(["view", run_text, "-o"]).arg(&page).output();
+    succeeds(&viewed.unwrap());
+    assert!(page.exists());
 }
 
 #[test]

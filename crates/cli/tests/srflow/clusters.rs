@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use serde_json::{Value, json as value};
 
 use srflow_core::FlowField;
-use srflow_files::write_flow;
+use srflow_files::{RunLock, write_flow};
 
 use crate::frames::{write_frames, write_pairs};
 use crate::tree::tree;
@@ -216,6 +216,10 @@ fn an_evaluation_is_divided_and_continued() {
     let half = text.find('\n').unwrap() + 40;
     fs::write(&log, &text[..half]).unwrap();
     write_flow(&data.join("p6_flow.flo"), &FlowField::filled(48, 40, [0.5, 0.25])).unwrap();
+    let part = RunLock::take_part(&parts.join("scored"), "1-of-3").unwrap();
+    refuses(&eval("parts", &[]), 1, &["another process is writing into this folder"]);
+    refuses(&eval("parts", &["--shard", "1/3"]), 1, &["another process is writing into this folder"]);
+    drop(part);
     let changed = scores(&eval("parts", &[]));
     assert_ne!(changed, whole);
     assert_eq!(changed, scores(&eval("afresh", &[])));

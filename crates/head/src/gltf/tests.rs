@@ -237,6 +237,26 @@ fn wrong_references_and_claims_are_named() {
     assert!(read("head.gltf", b"{\"nodes\": 1}").unwrap_err().contains("glTF 2.0"));
 }
 
+/// Each hangs on the one before, and has the same mesh on the same skin.
+#[test]
+fn instances_of_a_mesh_are_read_in_any_depth_until_a_small_file_repeats_too_much() {
+    const INSTANCES: usize = 3000;
+    let (mut json, binary) = head();
+    let nodes = json["nodes"].as_array_mut().unwrap();
+    for number in 0..INSTANCES {
+        let children = if number + 1 < INSTANCES { vec![6 + number] } else { vec![] };
+        nodes.push(json!({"name": "face", "mesh": 0, "skin": 0, "children": children}));
+    }
+    nodes[4]["children"] = json!([5]);
+    let model = read("head.glb", &glb(&json, &binary)).unwrap();
+    assert_eq!(model.template.len(), 4 + 3 + 4 * INSTANCES);
+    // A skin places its vertices, wherever the node is.
+    assert_eq!(model.template[7 + 4 * (INSTANCES - 1)..], model.template[..4]);
+    json["meshes"][0]["extras"]["targetNames"] = vec![""; 500].into();
+    let error = read("head.glb", &glb(&json, &binary)).unwrap_err();
+    assert!(error.contains("primitives and morph targets in all instances"), "{error}");
+}
+
 #[test]
 fn mutated_files_are_read_or_refused() {
     let (json, binary) = head();

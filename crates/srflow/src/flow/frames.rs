@@ -44,6 +44,15 @@ impl Source {
         let files = match arguments {
             [folder] if folder.is_dir() => frames_of(folder)?,
             [file] if is_video(file) => return Ok(Self::Video(file.clone(), video::facts(file))),
+            [file] if !is_picture(file) => {
+                wrong_settings!(
+                    "{}: expected two frames or more (.{}), a folder of frames, or a video (.{}), found one file of another \
+                     ending",
+                    file.display(),
+                    IMAGE_EXTENSIONS.join(", ."),
+                    video::EXTENSIONS.join(", .")
+                )
+            }
             [frame] => {
                 wrong_settings!(
                     "{}: one frame has no flow: give two or more, a folder of frames, or a video",
@@ -155,6 +164,12 @@ fn read_video(
     Ok(())
 }
 
+/// Whether the name has the extension of a picture.
+fn is_picture(path: &Path) -> bool {
+    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension))
+}
+
 /// Frames of a video are named by their number, from 1.
 fn number(count: u64) -> String {
     format!("{count:06}")
@@ -188,11 +203,9 @@ fn check_for_holes(folder: &Path, names: &FrameNames) -> anyhow::Result<()> {
     let advice = "add it, or list the frames one by one";
     for entry in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
         let path = entry.with_context(|| folder.display().to_string())?.path();
-        let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
-        let is_picture = IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension));
         let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
         ensure!(
-            !is_picture || hidden || path.is_dir() || path.is_file(),
+            !is_picture(&path) || hidden || path.is_dir() || path.is_file(),
             "{}: expected a frame, found a dangling link or no regular file; {advice}",
             path.display()
         );

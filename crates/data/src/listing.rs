@@ -1,6 +1,7 @@
 //! Listing folders in natural order, and their contents in messages.
 
 use std::cmp::Ordering;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use srflow_files::{FileError, FileProblem, FlowFormat, IMAGE_EXTENSIONS};
@@ -105,13 +106,28 @@ pub fn stem(path: &Path) -> String {
     path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// The last run of digits in a name.
-pub fn last_number(stem: &str) -> Option<u64> {
-    let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
-    let start = stem[..end]
-        .rfind(|c: char| !c.is_ascii_digit())
-        .map_or(0, |at| at + stem[at..].chars().next().map_or(1, char::len_utf8));
-    stem[start..end].parse().ok()
+/// What a folder holds in place of pictures that can be read, with advice: `41 .tif files: convert them to PNG`. `None` if it holds none
+/// or cannot be read.
+pub fn unread_files(dir: &Path) -> Option<String> {
+    const PICTURES: [&str; 17] = [
+        "tif", "tiff", "webp", "gif", "heic", "heif", "avif", "jp2", "jxl", "jfif", "jpe", "tga", "exr",
+        "hdr", "dng", "raw", "pbm",
+    ];
+    const VIDEOS: [&str; 9] = ["mp4", "avi", "mov", "mkv", "mts", "mpg", "mpeg", "wmv", "webm"];
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for path in visible(dir).ok()?.iter().filter(|path| path.is_file()) {
+        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();
+        if PICTURES.contains(&ending.as_str()) || VIDEOS.contains(&ending.as_str()) {
+            *counts.entry(ending).or_default() += 1;
+        }
+    }
+    let (ending, count) = counts.iter().max_by_key(|(_, count)| **count)?;
+    let files = if *count == 1 { "file" } else { "files" };
+    let advice = match VIDEOS.contains(&ending.as_str()) {
+        true => "extract its frames as PNG",
+        false => "convert to PNG",
+    };
+    Some(format!("{count} .{ending} {files}, which srflow does not read here: {advice}"))
 }
 
 /// A folder one or two levels up or down from `dir` that contains `needed`.
@@ -166,10 +182,14 @@ mod tests {
     }
 
     #[test]
-    fn the_last_number_of_a_name_is_its_frame() {
-        let numbers =
-            ["OpticalFlowIntoFuture_0006_L", "000030_0010", "é12é", "7", "none", "", "99999999999999999999"];
-        assert_eq!(numbers.map(last_number), [Some(6), Some(10), Some(12), Some(7), None, None, None]);
+    fn files_that_are_not_read_are_counted() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(unread_files(folder.path()), None);
+        for name in ["1.tif", "2.TIF", "a.mp4", "notes.txt", "1.png"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        let found = unread_files(folder.path()).unwrap();
+        assert_eq!(found, "2 .tif files, which srflow does not read here: convert to PNG");
     }
 
     proptest! {
@@ -181,11 +201,6 @@ mod tests {
             if natural_order(a, b).is_le() && natural_order(b, c).is_le() {
                 prop_assert!(natural_order(a, c).is_le());
             }
-        }
-
-        #[test]
-        fn a_name_has_a_number_when_it_has_a_digit(name in ".{0,12}") {
-            prop_assert_eq!(last_number(&name).is_some(), name.bytes().any(|c| c.is_ascii_digit()));
         }
     }
 }

@@ -501,6 +501,42 @@ fn a_frame_that_is_there_twice_is_refused() {
     refuses(ClipDataset::open(&at("clips", folder.path()), true), &["frame 2 exists twice"]);
 }
 
+/// A dataset of one clip, whose frames 1 to 3 have these names.
+fn clip_of(names: &[&str]) -> (tempfile::TempDir, ClipSource) {
+    let folder = tempfile::tempdir().unwrap();
+    let rows = [row("a", "1", POSITIVE, (1, Some(2), 3))];
+    write_plain(&folder.path().join("clips.csv"), &Classes::default(), &rows).unwrap();
+    touch(&folder.path().join("a"), names.iter().map(|name| (*name).to_owned()));
+    let source = at("clips", folder.path());
+    (folder, source)
+}
+
+#[test]
+fn the_number_of_a_frame_is_the_one_that_counts() {
+    for names in [
+        ["img1_200fps.jpg", "img2_200fps.jpg", "img3_200fps.jpg"].as_slice(),
+        &["img (1).jpg", "img (2).jpg", "img (3).jpg"],
+        &["img1.jpg", "img2.jpg", "img2 (1).jpg", "img2 - Copy.jpg", "img3.jpg"],
+        &["img1.jpg", "img2 (1).jpg", "img3.jpg"],
+        &["t-1.jpg", "t0.jpg", "t1.jpg", "t2.jpg", "t3.jpg"],
+    ] {
+        let (_folder, source) = clip_of(names);
+        let dataset = ClipDataset::open(&source, false).unwrap();
+        assert_eq!(dataset.clips[0].frames.keys().copied().collect::<Vec<_>>(), [1, 2, 3], "{names:?}");
+    }
+    let (_folder, source) = clip_of(&["img2.jpg", "img3.jpg", "img3 (1).jpg"]);
+    refuses(ClipDataset::open(&source, false), &["1/a: 1 frame: 1\n"]);
+    let (_folder, source) = clip_of(&["a_200fps.jpg", "b_200fps.jpg", "c_200fps.jpg"]);
+    refuses(ClipDataset::open(&source, false), &["found 200 in all 3", "a_200fps.jpg", "number the files"]);
+}
+
+#[test]
+fn frames_that_are_not_read_are_named() {
+    let (_folder, source) = clip_of(&["img1.tif", "img2.tif", "img3.TIF"]);
+    let expected = ["1/a: 3 frames: 1-3 (the folder has 3 .tif files", "convert the files that are there"];
+    refuses(ClipDataset::open(&source, false), &expected);
+}
+
 #[test]
 fn the_page_on_micro_expressions_lists_every_kind() {
     let page = fs::read_to_string("../../docs/reference/micro-expression-files.md").unwrap();

@@ -1,11 +1,15 @@
 //! Images, masks and labels on disk.
+//!
+//! Images and masks are turned upright as their EXIF data says, as viewers, OpenCV and ffmpeg do. Labels and 16-bit values are read as they
+//! are stored.
 
 use std::io::{self, BufRead, Cursor, Seek, Write};
 use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
-use crate::codec::{MAX_PIXELS, PngOutline, check_size, read_all, read_with};
+use crate::codec::{JpegOutline, MAX_PIXELS, PngOutline, check_size, read_all, read_with, truncated};
+use crate::orientation::{orientation_of, swaps_sides};
 use crate::{FileError, FileKind, FileProblem, write_atomically};
 use srflow_core::{Image, Labels, Mask, Plane};
 
@@ -13,7 +17,7 @@ use srflow_core::{Image, Labels, Mask, Plane};
 pub const IMAGE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pnm", "bmp"];
 
 /// Reads a PNG, JPEG, PPM/PGM or BMP file, detected by its first bytes. 16-bit channels are rounded to 8 bits, grey becomes
-/// three equal channels, alpha is dropped.
+/// three equal channels, alpha is dropped. The image is turned upright as its EXIF data says.
 ///
 /// # Errors
 /// When the file cannot be read, has another format, or is corrupt.
@@ -22,12 +26,12 @@ pub fn read_image(path: &Path) -> Result<Image, FileError> {
 }
 
 pub(crate) fn image_of(bytes: &[u8]) -> Result<Image, FileProblem> {
-    let pixels = decode(bytes)?.into_rgb8();
+    let pixels = upright(bytes)?.into_rgb8();
     let (width, height) = (pixels.width() as usize, pixels.height() as usize);
     Ok(Image::from_buffer(width, height, pixels.as_raw().as_chunks().0.to_vec()))
 }
 
-/// Width and height of an image file, from its header alone.
+/// Width and height of an upright image, from the header of its file alone.
 ///
 /// # Errors
 /// When the file cannot be read, has another format, or its header is corrupt.
@@ -43,23 +47,95 @@ pub(crate) fn image_size_of(reader: &mut (impl BufRead + Seek)) -> Result<(usize
     }
     let format = format_of(&start[..len])?;
     reader.rewind().map_err(FileProblem::reading)?;
+    let orientation = orientation_of(reader, format).map_err(FileProblem::reading)?;
+    reader.rewind().map_err(FileProblem::reading)?;
     let (width, height) =
         ImageReader::with_format(reader, format).into_dimensions().map_err(|error| broken(format, error))?;
-    check_size(width.into(), height.into())
+    let (width, height) = check_size(width.into(), height.into())?;
+    Ok(if swaps_sides(orientation) { (height, width) } else { (width, height) })
 }
 
-/// Reads a mask from an image in any format of [`read_image`]: `true` where the luminance is over 127.
+/// Reads a mask from an image in any format of [`read_image`]: `true` where a pixel's value is over 127.
+///
+/// The value is the alpha if that varies, else the luminance. Where all pixels have the value 0 or another one, such as in masks of 0 and
+/// 1, the other one is `true`.
 ///
 /// # Errors
-/// As [`read_image`].
+/// As [`read_image`], and when no value is over 127 although the values differ otherwise, as in a map of classes.
 pub fn read_mask(path: &Path) -> Result<Mask, FileError> {
     read_with(path, FileKind::Image, |reader, len| mask_of(&read_all(reader, len)?))
 }
 
 pub(crate) fn mask_of(bytes: &[u8]) -> Result<Mask, FileProblem> {
-    let pixels = decode(bytes)?.into_luma8();
-    let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-    Ok(Mask::from_buffer(width, height, pixels.as_raw().iter().map(|value| *value > 127).collect()))
+    let Coverage { width, height, values } = Coverage::read(bytes)?;
+    let largest = values.iter().copied().max().unwrap_or_default();
+    let threshold = if largest > 127 {
+        127
+    } else if values.iter().all(|value| [0, largest].contains(value)) && (values.contains(&0) || largest == 1)
+    {
+        0
+    } else {
+        let expected = "white (over 127) inside and black outside, or 0 and one other value";
+        let found = format!("values up to {largest}: write 255 where the mask is true");
+        return Err(FileProblem::field("pixels", expected, found));
+    };
+    Ok(Mask::from_buffer(width, height, values.iter().map(|value| *value > threshold).collect()))
+}
+
+/// Reads how much of each pixel is covered, 0 to 1, from an image in any format of [`read_image`]: its alpha if that varies, else its
+/// luminance. Where all pixels are 0 or 1, 1 is fully covered.
+///
+/// # Errors
+/// As [`read_image`].
+pub fn read_alpha(path: &Path) -> Result<Plane, FileError> {
+    read_with(path, FileKind::Image, |reader, len| {
+        let Coverage { width, height, values } = Coverage::read(&read_all(reader, len)?)?;
+        let most = if values.iter().all(|value| *value <= 1) { 1.0 } else { 255.0 };
+        Ok(Plane::from_buffer(width, height, values.iter().map(|value| f32::from(*value) / most).collect()))
+    })
+}
+
+/// What an image of a mask holds, with 8 bits a pixel.
+struct Coverage {
+    width: usize,
+    height: usize,
+    values: Vec<u8>,
+}
+
+impl Coverage {
+    fn read(bytes: &[u8]) -> Result<Self, FileProblem> {
+        let picture = upright(bytes)?;
+        let (width, height) = (picture.width() as usize, picture.height() as usize);
+        let sixteen_bits = picture.color().bytes_per_pixel() / picture.color().channel_count() > 1;
+        let values = match (picture.color().has_alpha(), sixteen_bits) {
+            (false, false) => picture.into_luma8().into_raw(),
+            (false, true) => eight_bits(&picture.into_luma16().into_raw()),
+            (true, false) => {
+                let pixels = picture.into_luma_alpha8();
+                of_alpha_or_luminance(pixels.as_raw().as_chunks().0)
+            }
+            (true, true) => {
+                let pixels = picture.into_luma_alpha16();
+                eight_bits(&of_alpha_or_luminance(pixels.as_raw().as_chunks().0))
+            }
+        };
+        Ok(Self { width, height, values })
+    }
+}
+
+/// The second channel if it varies, else the first.
+fn of_alpha_or_luminance<T: Copy + PartialEq>(pixels: &[[T; 2]]) -> Vec<T> {
+    let varies = pixels.iter().any(|[_, alpha]| *alpha != pixels[0][1]);
+    pixels.iter().map(|[luminance, alpha]| if varies { *alpha } else { *luminance }).collect()
+}
+
+/// Values of 16 bits rounded to 8; as they are if they fit, as in a mask of 0 and 1, or of 0 and 255, that is stored with 16 bits.
+fn eight_bits(values: &[u16]) -> Vec<u8> {
+    let fit = values.iter().all(|value| *value <= 255);
+    values
+        .iter()
+        .map(|value| if fit { *value as u8 } else { ((u32::from(*value) + 128) / 257) as u8 })
+        .collect()
 }
 
 /// Reads labels from an 8-bit grey image: the values as they are stored.
@@ -150,29 +226,60 @@ fn encode_png(
 
 /// The format detected from the first bytes.
 fn format_of(start: &[u8]) -> Result<ImageFormat, FileProblem> {
-    match image::guess_format(start).ok() {
-        Some(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Pnm | ImageFormat::Bmp)) => {
-            Ok(format)
-        }
-        _ => {
-            let start = start[..start.len().min(8)].escape_ascii();
-            Err(FileProblem::field("magic", "a PNG, JPEG, PPM or BMP file", format!("\"{start}\"")))
-        }
+    let guessed = image::guess_format(start).ok();
+    if let Some(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Pnm | ImageFormat::Bmp)) =
+        guessed
+    {
+        return Ok(format);
     }
+    let known = match guessed {
+        Some(ImageFormat::Gif) => Some("a GIF"),
+        Some(ImageFormat::Tiff) => Some("a TIFF"),
+        Some(ImageFormat::WebP) => Some("a WebP"),
+        Some(ImageFormat::Avif) => Some("an AVIF"),
+        _ => is_heif(start).then_some("a HEIF (HEIC)"),
+    };
+    let found = match known {
+        Some(known) => format!("{known} file: convert it to PNG"),
+        None => format!("\"{}\"", start[..start.len().min(8)].escape_ascii()),
+    };
+    Err(FileProblem::field("magic", "a PNG, JPEG, PPM or BMP file", found))
+}
+
+/// Whether these are the first bytes of a picture of a phone.
+fn is_heif(start: &[u8]) -> bool {
+    let brand = start.get(8..12).filter(|_| start.get(4..8) == Some(b"ftyp"));
+    brand.is_some_and(|brand| {
+        [b"heic", b"heix", b"heim", b"hevc", b"mif1", b"msf1"].iter().any(|known| brand == *known)
+    })
 }
 
 fn broken(format: ImageFormat, error: image::ImageError) -> FileProblem {
     FileProblem::field("image", format!("a valid {} file", name(format)), error.to_string())
 }
 
+/// The picture as it is stored.
 fn decode(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
     let format = format_of(bytes)?;
-    let broken = |error| broken(format, error);
     match format {
         ImageFormat::Png => PngOutline::read(bytes).map(drop)?,
-        ImageFormat::Jpeg => check_end_of_jpeg(bytes)?,
+        ImageFormat::Jpeg => return decode_jpeg(bytes),
         _ => {}
     }
+    decode_as(format, bytes)
+}
+
+/// The picture turned as its EXIF data says.
+fn upright(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
+    let mut picture = decode(bytes)?;
+    let orientation =
+        orientation_of(&mut Cursor::new(bytes), format_of(bytes)?).map_err(FileProblem::reading)?;
+    picture.apply_orientation(orientation);
+    Ok(picture)
+}
+
+fn decode_as(format: ImageFormat, bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
+    let broken = |error| broken(format, error);
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
     limits.max_alloc = Some(12 * MAX_PIXELS); // 16-bit RGBA and the decoder's row buffers
@@ -183,19 +290,19 @@ fn decode(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
     DynamicImage::from_decoder(decoder).map_err(broken)
 }
 
-/// The decoder fills missing parts of a JPEG with grey, like others do; here a truncated file is an error.
-fn check_end_of_jpeg(bytes: &[u8]) -> Result<(), FileProblem> {
-    const START_OF_SCAN: u8 = 0xda;
-    const END_OF_IMAGE: u8 = 0xd9;
-    // Inside a scan a byte 0xff is always escaped, so the last of these markers is the real one.
-    let last = bytes
-        .windows(2)
-        .rev()
-        .find(|pair| pair[0] == 0xff && matches!(pair[1], START_OF_SCAN | END_OF_IMAGE));
-    match last {
-        Some([_, END_OF_IMAGE]) => Ok(()),
-        _ => Err(FileProblem::field("end of image", "the marker ff d9", "none: the file is truncated")),
+/// The decoder fills missing parts of a JPEG with grey, as others do; here a truncated file is an error.
+fn decode_jpeg(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
+    let outline = JpegOutline::read(bytes);
+    if let Some(end) = outline.end {
+        return decode_as(ImageFormat::Jpeg, &bytes[..end]);
     }
+    let decode = |bytes: &Vec<u8>| decode_as(ImageFormat::Jpeg, bytes);
+    let [bare, filled @ ..] = outline.with_endings(bytes)?;
+    let picture = decode(&bare)?;
+    if filled.iter().all(|filled| decode(filled).is_ok_and(|other| other == picture)) {
+        return Ok(picture);
+    }
+    Err(truncated())
 }
 
 fn name(format: ImageFormat) -> &'static str {

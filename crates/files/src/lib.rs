@@ -9,6 +9,7 @@ mod file_error;
 mod image_file;
 mod json_lines;
 mod open;
+mod orientation;
 mod parse_words;
 mod point_table;
 mod run_folder;
@@ -28,8 +29,8 @@ pub use csv_table::{CsvRow, CsvTable, whole_number};
 pub use file_bytes::FileBytes;
 pub use file_error::{FileError, FileProblem};
 pub use image_file::{
-    IMAGE_EXTENSIONS, read_grey16, read_image, read_image_size, read_labels, read_mask, write_image_png,
-    write_labels_png, write_mask_png,
+    IMAGE_EXTENSIONS, read_alpha, read_grey16, read_image, read_image_size, read_labels, read_mask,
+    write_image_png, write_labels_png, write_mask_png,
 };
 pub use json_lines::{JsonLines, RecordError, parse_sealed_json, read_json_lines, sealed_json};
 pub use open::{FileKind, open_file, read_file, read_text};

@@ -15,17 +15,15 @@ use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::instance_norm::tensor::group_norm;
 use srflow_ops::layer_norm::tensor::layer_norm;
 
-use crate::blocks::{
-    ConvGru, FlowHead, Grids, Level, MotionEncoder, StageGru, WideConvexMask, resize, resize_flow,
-    upsample_by,
-};
+use crate::blocks::level::{Depthwise, Level, MOTION, RADIUS, Transition, UpdateBlock};
+use crate::blocks::{ConvGru, Grids, resize, resize_flow, upsample_by};
 use crate::estimate::{Estimate, LaplaceMixture, Request};
 use crate::facts::{Facts, IterationPresets, Padding, Start, ptlflow};
 use crate::features::Features;
-use crate::frames::{Border, Frames, prepared};
+use crate::frames::{Border, Frames};
 use crate::memory_need::MemoryNeed;
 use crate::network::{Entry, FlowNetwork};
-use crate::recurrent::{STRIDE, pixel_grid};
+use crate::recurrent::{Refined, STRIDE, refine};
 use crate::settings::{Allowed, Setting};
 
 /// Added to the variance by layer norms.
@@ -40,10 +38,6 @@ const STEM: [usize; 2] = [64, 96];
 const HIDDEN: usize = 128;
 /// Channels of a level: the first two thirds are matched, the rest is context.
 const FEATURES: usize = 3 * HIDDEN;
-/// Channels of the motion encoder.
-const MOTION: usize = 128;
-/// Radius of the lookup window.
-const RADIUS: usize = 4;
 /// Blocks of a stage.
 const BLOCKS: usize = 4;
 /// Initial layer scale of every block.
@@ -83,7 +77,7 @@ pub(crate) const DPFLOW: Entry<DpFlow> = Entry {
 #[derive(Module, Debug)]
 pub struct DpFlow {
     fnet: Encoder,
-    update_block: UpdateBlock,
+    update_block: UpdateBlock<Stage>,
     /// Levels of the pyramid; 0 to choose by the size of the frames.
     levels: usize,
 }
@@ -128,12 +122,6 @@ struct Stage {
     blocks: Vec<Unit>,
 }
 
-/// `LayerTransition`.
-#[derive(Module, Debug)]
-struct Transition {
-    proj: Conv2d,
-}
-
 /// `CGU`: gates each map by itself and, if two frames are encoded together, by both maps.
 #[derive(Module, Debug)]
 struct Unit {
@@ -161,21 +149,6 @@ struct CrossGated {
     dwconv_g: Depthwise,
     dwconv_y: Depthwise,
     fc2: Conv2d,
-}
-
-/// `DWConv`.
-#[derive(Module, Debug)]
-struct Depthwise {
-    dwconv: Conv2d,
-}
-
-/// `UpdateBlock`.
-#[derive(Module, Debug)]
-struct UpdateBlock {
-    encoder: MotionEncoder,
-    gru_list: [StageGru<Stage>; 1],
-    flow_head: FlowHead,
-    mask: WideConvexMask,
 }
 
 /// The multiple to which frames are padded for this many levels; also the side of a pixel of the coarsest level.
@@ -212,12 +185,7 @@ impl DpFlow {
         let gate = || Stage::alone([2 * HIDDEN + MOTION, HIDDEN], device);
         Self {
             fnet: Encoder::new(device),
-            update_block: UpdateBlock {
-                encoder: MotionEncoder::of_entries((2 * RADIUS + 1) * (2 * RADIUS + 1), device),
-                gru_list: [StageGru::new(gate)],
-                flow_head: FlowHead::of_outputs(HIDDEN, 256, 6, device),
-                mask: WideConvexMask::new(HIDDEN, device),
-            },
+            update_block: UpdateBlock::new(HIDDEN, 1, gate, 2 + 4, device),
             levels: 0,
         }
     }
@@ -226,19 +194,20 @@ impl DpFlow {
         if self.levels == 0 { levels_of(size) } else { self.levels }
     }
 
-    /// Adds the flow and its mixture to the estimate, upsampled.
+    /// Adds the flow, in pixels of its level, and its mixture to the estimate, upsampled. The mixture: log weights, then log scales,
+    /// `[batch, 4, height, width]`.
     fn push_upsampled(
         &self,
         estimate: &mut Estimate,
         hidden: &Tensor<4>,
-        found: Found,
+        [flow, mixture]: [Tensor<4>; 2],
         padded: [usize; 2],
         border: Border,
     ) {
         let weights = self.update_block.mask.weights(hidden);
-        let flow = resize_flow(upsample_by(&weights, found.flow), padded, GRIDS);
+        let flow = resize_flow(upsample_by(&weights, flow), padded, GRIDS);
         let part = |first| {
-            let coarse = found.mixture.clone().narrow(1, first, 2) / STRIDE as f64;
+            let coarse = mixture.clone().narrow(1, first, 2) / STRIDE as f64;
             border.remove(resize(upsample_by(&weights, coarse), padded, GRIDS))
         };
         estimate.mixtures.push(LaplaceMixture { log_weights: part(0), log_scales: part(2) });
@@ -246,19 +215,11 @@ impl DpFlow {
     }
 }
 
-/// Output of an iteration, in pixels of its level.
-struct Found {
-    flow: Tensor<4>,
-    /// Log weights, then log scales: `[batch, 4, height, width]`.
-    mixture: Tensor<4>,
-}
-
 impl FlowNetwork for DpFlow {
     fn features(&self, frames: Tensor<4>) -> Features {
-        let [batch, _, height, width] = frames.dims();
+        let [_, _, height, width] = frames.dims();
         let levels = self.levels_for([height, width]);
-        let frames = prepared(frames, Border::new([height, width], padding(levels)));
-        Features::new(batch, self.fnet.stems(frames, levels))
+        Features::of_prepared(frames, padding(levels), |frames| self.fnet.stems(frames, levels))
     }
 
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
@@ -275,26 +236,22 @@ impl FlowNetwork for DpFlow {
         let mut iterations = None;
         for (number, [first, second]) in self.fnet.pyramid(stems).into_iter().enumerate() {
             let [_, _, rows, columns] = first.dims();
-            let Level { correlation, context, mut hidden } = Level::new(first, second);
-            let grid = pixel_grid([batch, rows, columns], &device);
+            let Level { correlation, context, hidden } = Level::new(first, second);
             flow = resize_flow(flow, [rows, columns], GRIDS);
+            let step = |hidden, flow, windows| {
+                let [hidden, both] =
+                    self.update_block.step(hidden, &context, [flow, windows], Stage::forward);
+                Refined { hidden, change: both.clone().narrow(1, 0, 2), further: both.narrow(1, 2, 4) }
+            };
             let mut refinement = request.refinement(request.iterations, border);
-            loop {
-                flow = flow.detach();
-                let windows = correlation.windows(grid.clone() + flow.clone(), RADIUS);
-                let [next, change] = self.update_block.step(hidden, &context, flow.clone(), windows);
-                hidden = next;
-                let moved = change.clone().narrow(1, 0, 2);
-                let last = refinement.ends_with(&moved);
-                flow = flow + moved;
-                if request.every_iteration || (last && number + 1 == levels) {
-                    let found = Found { flow: flow.clone(), mixture: change.narrow(1, 2, 4) };
-                    self.push_upsampled(&mut estimate, &hidden, found, [height, width], border);
-                }
-                if last {
-                    break;
-                }
-            }
+            let lookup = (&correlation, RADIUS);
+            [_, flow] =
+                refine(lookup, &mut refinement, [hidden, flow], step, |hidden, flow, mixture, last| {
+                    if request.every_iteration || (last && number + 1 == levels) {
+                        let found = [flow.clone(), mixture];
+                        self.push_upsampled(&mut estimate, hidden, found, [height, width], border);
+                    }
+                });
             iterations = Some(refinement.done());
         }
         Estimate { coarse: Some(resize_flow(flow, coarsest, GRIDS)), iterations, ..estimate }
@@ -397,24 +354,6 @@ impl Encoder {
 /// Concatenates channels.
 fn cat(a: Tensor<4>, b: Tensor<4>) -> Tensor<4> {
     concatenate(vec![a, b])
-}
-
-impl UpdateBlock {
-    /// The next hidden state, and the output of the flow head: the change of the flow, then the mixture.
-    fn step(
-        &self,
-        mut hidden: Tensor<4>,
-        context: &Tensor<4>,
-        flow: Tensor<4>,
-        windows: Tensor<4>,
-    ) -> [Tensor<4>; 2] {
-        let motion = self.encoder.forward(flow, windows);
-        let input = cat(context.clone(), motion);
-        for gru in &self.gru_list {
-            hidden = gru.step(hidden, &input, Stage::forward);
-        }
-        [hidden.clone(), self.flow_head.forward(hidden)]
-    }
 }
 
 impl Stem {
@@ -530,8 +469,8 @@ impl Gated {
         Self {
             fc1_g: pointwise(HIDDEN, 2 * HIDDEN),
             fc1_x: pointwise(HIDDEN, 2 * HIDDEN),
-            dwconv_g: Depthwise::new(device),
-            dwconv_x: Depthwise::new(device),
+            dwconv_g: depthwise(device),
+            dwconv_x: depthwise(device),
             fc2: pointwise(2 * HIDDEN, HIDDEN),
         }
     }
@@ -554,8 +493,8 @@ impl CrossGated {
             merge_fc_g: pointwise(2 * HIDDEN, HIDDEN),
             fc1_g: pointwise(HIDDEN, 2 * HIDDEN),
             fc1_y: pointwise(HIDDEN, 2 * HIDDEN),
-            dwconv_g: Depthwise::new(device),
-            dwconv_y: Depthwise::new(device),
+            dwconv_g: depthwise(device),
+            dwconv_y: depthwise(device),
             fc2: pointwise(2 * HIDDEN, HIDDEN),
         }
     }
@@ -568,10 +507,8 @@ impl CrossGated {
     }
 }
 
-impl Depthwise {
-    fn new(device: &Device) -> Self {
-        Self { dwconv: Conv2dConfig::new([2 * HIDDEN; 2], [7, 7]).with_depthwise(true).init(device) }
-    }
+fn depthwise(device: &Device) -> Depthwise {
+    Depthwise { dwconv: Conv2dConfig::new([2 * HIDDEN; 2], [7, 7]).with_depthwise(true).init(device) }
 }
 
 #[cfg(test)]

@@ -2,6 +2,8 @@
 
 use burn::tensor::Tensor;
 
+use crate::frames::{Border, prepared};
+
 /// Feature maps that a network computes from each frame of a batch on its own. Most frames of a video belong to two pairs; with
 /// [`Request::features`](crate::Request::features) each is encoded only once.
 #[derive(Debug, Clone)]
@@ -14,6 +16,16 @@ pub struct Features {
 impl Features {
     pub(crate) fn new(frames: usize, maps: Vec<Tensor<4>>) -> Self {
         Self { frames, maps }
+    }
+
+    /// The maps that `encode` computes from frames, RGB in 0..1, [prepared] with padding to multiples of `multiple`.
+    pub(crate) fn of_prepared(
+        frames: Tensor<4>,
+        multiple: usize,
+        encode: impl FnOnce(Tensor<4>) -> Vec<Tensor<4>>,
+    ) -> Self {
+        let [batch, _, height, width] = frames.dims();
+        Self::new(batch, encode(prepared(frames, Border::new([height, width], multiple))))
     }
 
     /// The maps. Panics when there are not `N` of them.

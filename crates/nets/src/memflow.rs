@@ -144,7 +144,7 @@ impl Recurrent for MemFlow {
         &self,
         context: Tensor<4>,
         memory: Option<&Memory>,
-    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined {
+    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined<Option<Memory>> {
         let block = &self.update_block;
         let attention = self.attention(context.clone(), memory);
         move |hidden, flow, windows| {
@@ -152,7 +152,7 @@ impl Recurrent for MemFlow {
             let values = block.aggregator.values(motion.clone());
             let global = block.aggregator.add(motion.clone(), attention.gather(values.clone()));
             let [hidden, change] = block.forward(hidden, context.clone(), motion, global);
-            Refined { hidden, change, memory: Some(attention.with(values)) }
+            Refined { hidden, change, further: Some(attention.with(values)) }
         }
     }
 

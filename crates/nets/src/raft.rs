@@ -2,10 +2,11 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
+use srflow_ops::concatenate;
 
 use crate::blocks::{
-    ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru, convex_mask_by,
-    convex_upsample, window_entries,
+    Aggregate, Attention, ConvexMask, Encoder, EncoderConfig, FlowHead, Gru, MotionEncoder, NormKind,
+    SepConvGru, bilinear_upsample, convex_mask_by, convex_upsample, window_entries,
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
@@ -39,20 +40,30 @@ pub(crate) const RAFT: Entry<Raft> = Entry {
     init: Raft::new,
 };
 
+/// RAFT, its small variant or GMA.
 #[derive(Module, Debug)]
 pub struct Raft {
-    fnet: Encoder,
-    cnet: Encoder,
-    update_block: UpdateBlock,
+    pub(crate) fnet: Encoder,
+    pub(crate) cnet: Encoder,
+    pub(crate) update_block: UpdateBlock,
+    /// Only in GMA.
+    pub(crate) att: Option<Attention>,
+    /// Channels of the hidden state.
+    pub(crate) hidden: usize,
+    /// Radius of the lookup window in each level.
+    pub(crate) radius: usize,
 }
 
-/// `BasicUpdateBlock`.
+/// `BasicUpdateBlock`, `SmallUpdateBlock` or `GMAUpdateBlock`.
 #[derive(Module, Debug)]
 pub(crate) struct UpdateBlock {
     pub(crate) encoder: MotionEncoder,
-    pub(crate) gru: SepConvGru,
+    pub(crate) gru: Gru,
     pub(crate) flow_head: FlowHead,
-    pub(crate) mask: ConvexMask,
+    /// Not in the small variant.
+    pub(crate) mask: Option<ConvexMask>,
+    /// Only in GMA.
+    pub(crate) aggregator: Option<Aggregate>,
 }
 
 impl Raft {
@@ -61,41 +72,55 @@ impl Raft {
             fnet: EncoderConfig::basic(256, NormKind::Instance).init(device),
             cnet: EncoderConfig::basic(2 * HIDDEN, NormKind::Batch).init(device),
             update_block: UpdateBlock::new(window_entries(RADIUS), STRIDE, device),
+            att: None,
+            hidden: HIDDEN,
+            radius: RADIUS,
         }
     }
 }
 
 impl UpdateBlock {
-    /// For this many correlations per pixel, and upsampling by `factor`.
+    /// RAFT's for this many correlations per pixel, and upsampling by `factor`.
     pub(crate) fn new(entries: usize, factor: usize, device: &Device) -> Self {
         Self {
             encoder: MotionEncoder::of_entries(entries, device),
-            gru: SepConvGru::new(HIDDEN, 128 + HIDDEN, device),
+            gru: Gru::Separable(SepConvGru::new(HIDDEN, 128 + HIDDEN, device)),
             flow_head: FlowHead::new(HIDDEN, 256, device),
-            mask: convex_mask_by(factor, HIDDEN, device),
+            mask: Some(convex_mask_by(factor, HIDDEN, device)),
+            aggregator: None,
         }
     }
 }
 
 impl Recurrent for Raft {
     fn encoders(&self) -> Encoders<'_> {
-        Encoders { features: &self.fnet, context: &self.cnet, hidden: HIDDEN, radius: RADIUS }
+        Encoders { features: &self.fnet, context: &self.cnet, hidden: self.hidden, radius: self.radius }
     }
 
     fn step(
         &self,
         context: Tensor<4>,
         _: Option<&Memory>,
-    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined {
+    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined<Option<Memory>> {
         let block = &self.update_block;
         let gru = block.gru.prepared(&context);
+        let attending = self.att.as_ref().zip(block.aggregator.as_ref());
+        let attending = attending.map(|(attention, aggregator)| (attention.forward(context), aggregator));
         move |hidden, flow, windows| {
-            let hidden = gru.step(hidden, block.encoder.forward(flow, windows));
-            Refined { change: block.flow_head.forward(hidden.clone()), hidden, memory: None }
+            let mut motion = block.encoder.forward(flow, windows);
+            if let Some((map, aggregator)) = &attending {
+                let global = aggregator.forward(map, motion.clone());
+                motion = concatenate(vec![motion, global]);
+            }
+            let hidden = gru.step(hidden, motion);
+            Refined { change: block.flow_head.forward(hidden.clone()), hidden, further: None }
         }
     }
 
     fn upsample(&self, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
-        convex_upsample(&self.update_block.mask, hidden, flow)
+        match &self.update_block.mask {
+            Some(mask) => convex_upsample(mask, hidden, flow),
+            None => bilinear_upsample(flow, STRIDE),
+        }
     }
 }

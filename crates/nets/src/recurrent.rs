@@ -10,7 +10,8 @@ use crate::blocks::{Encoder, KEPT_BYTES};
 use crate::estimate::{Encoded, Estimate, Memory, Request};
 use crate::facts::{Facts, Start};
 use crate::features::Features;
-use crate::frames::{Border, Frames, prepared};
+use crate::frames::Frames;
+use crate::iterations::Refinement;
 use crate::memory_need::MemoryNeed;
 use crate::network::FlowNetwork;
 use crate::settings::Setting;
@@ -51,7 +52,7 @@ pub(crate) trait Recurrent {
         &self,
         context: Tensor<4>,
         memory: Option<&Memory>,
-    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined;
+    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined<Option<Memory>>;
 
     /// Upsamples coarse flow, `[batch, 2, height, width]`, to 8 times the size, in fine pixels.
     fn upsample(&self, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4>;
@@ -63,13 +64,39 @@ pub(crate) trait Recurrent {
 }
 
 /// Output of an iteration.
-pub(crate) struct Refined {
+pub(crate) struct Refined<T = ()> {
     /// The next hidden state.
     pub(crate) hidden: Tensor<4>,
     /// Added to the flow.
     pub(crate) change: Tensor<4>,
-    /// Memory for the next pair, if this iteration is the last.
-    pub(crate) memory: Option<Memory>,
+    /// Further output: the memory for the next pair, if this iteration is the last, or the mixture of the flow.
+    pub(crate) further: T,
+}
+
+/// Refines a flow until `refinement` ends: each iteration is a `step` from hidden state, flow and the windows of correlations around
+/// the target of the flow. Calls `after` with the new hidden state and flow, the further output of the step, and whether the
+/// iteration was the last. Returns the last hidden state and flow.
+pub(crate) fn refine<T>(
+    (correlation, radius): (&Correlation, usize),
+    refinement: &mut Refinement,
+    [mut hidden, mut flow]: [Tensor<4>; 2],
+    step: impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined<T>,
+    mut after: impl FnMut(&Tensor<4>, &Tensor<4>, T, bool),
+) -> [Tensor<4>; 2] {
+    let [batch, _, height, width] = flow.dims();
+    let grid = pixel_grid([batch, height, width], &flow.device());
+    loop {
+        flow = flow.detach();
+        let windows = correlation.windows(grid.clone() + flow.clone(), radius);
+        let refined = step(hidden, flow.clone(), windows);
+        hidden = refined.hidden;
+        let last = refinement.ends_with(&refined.change);
+        flow = flow + refined.change;
+        after(&hidden, &flow, refined.further, last);
+        if last {
+            return [hidden, flow];
+        }
+    }
 }
 
 /// Common facts of these networks. At the smallest side, the coarsest level of the correlation pyramid is two pixels wide.
@@ -88,9 +115,7 @@ pub(crate) const ATTENDING: MemoryNeed =
 
 impl<N: Recurrent> FlowNetwork for N {
     fn features(&self, frames: Tensor<4>) -> Features {
-        let [batch, _, height, width] = frames.dims();
-        let frames = prepared(frames, Border::new([height, width], STRIDE));
-        Features::new(batch, vec![self.encoders().features.forward(frames)])
+        Features::of_prepared(frames, STRIDE, |frames| vec![self.encoders().features.forward(frames)])
     }
 
     fn settings(&mut self) -> Vec<Setting<'_>> {
@@ -108,7 +133,7 @@ impl<N: Recurrent> FlowNetwork for N {
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         let encoders = self.encoders();
         let (first, second, border) = frames.prepared(STRIDE);
-        let (mut hidden, context, [first, second]) = match &request.encoded {
+        let (hidden, context, [first, second]) = match &request.encoded {
             Some(encoded) => encoded.of_pair(),
             None => {
                 let [hidden, context] = encoders.hidden_and_context(first.clone());
@@ -122,24 +147,17 @@ impl<N: Recurrent> FlowNetwork for N {
         let step = self.step(context, request.memory.as_ref());
 
         let [batch, _, height, width] = hidden.dims();
-        let grid = pixel_grid([batch, height, width], &hidden.device());
-        let mut flow = request.start_flow(batch, [height, width], &grid.device());
-        let mut flows = Vec::new();
+        let flow = request.start_flow(batch, [height, width], &hidden.device());
+        let (mut flows, mut memory) = (Vec::new(), None);
         let mut refinement = request.refinement(request.iterations, border);
-        let memory = loop {
-            flow = flow.detach();
-            let windows = correlation.windows(grid.clone() + flow.clone(), encoders.radius);
-            let refined = step(hidden, flow.clone(), windows);
-            hidden = refined.hidden;
-            let last = refinement.ends_with(&refined.change);
-            flow = flow + refined.change;
-            if request.every_iteration || last {
-                flows.push(border.remove(self.upsample(&hidden, flow.clone())));
-            }
-            if last {
-                break refined.memory;
-            }
-        };
+        let lookup = (&correlation, encoders.radius);
+        let [hidden, flow] =
+            refine(lookup, &mut refinement, [hidden, flow], step, |hidden, flow, remembered, last| {
+                if request.every_iteration || last {
+                    flows.push(border.remove(self.upsample(hidden, flow.clone())));
+                    memory = remembered;
+                }
+            });
         let iterations = Some(refinement.done());
         Estimate { coarse: Some(flow), hidden: Some(hidden), memory, iterations, ..Estimate::of_flows(flows) }
     }

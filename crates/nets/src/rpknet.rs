@@ -14,17 +14,15 @@ use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::instance_norm::tensor::group_norm;
 use srflow_ops::layer_norm::tensor::layer_norm;
 
-use crate::blocks::{
-    ConvGru, FlowHead, Grids, Level, MotionEncoder, StageGru, WideConvexMask, resize, resize_flow,
-    upsample_by,
-};
+use crate::blocks::level::{Depthwise, Level, MOTION, RADIUS, Transition, UpdateBlock};
+use crate::blocks::{ConvGru, Grids, resize, resize_flow, upsample_by};
 use crate::estimate::{Estimate, Request};
 use crate::facts::{Facts, IterationPresets, Start, ptlflow};
 use crate::features::Features;
-use crate::frames::{Border, Frames, prepared};
+use crate::frames::Frames;
 use crate::memory_need::MemoryNeed;
 use crate::network::{Entry, FlowNetwork};
-use crate::recurrent::{STRIDE, pixel_grid};
+use crate::recurrent::{Refined, STRIDE, refine};
 use crate::settings::{Allowed, Setting};
 
 /// Levels of the pyramid at which flow is refined.
@@ -39,10 +37,6 @@ const WIDEST: usize = 96;
 const FEATURES: usize = 2 * WIDEST;
 /// Channels of the hidden state of the refinement, and of the context.
 const HIDDEN: usize = 64;
-/// Channels of the motion encoder.
-const MOTION: usize = 128;
-/// Radius of the lookup window.
-const RADIUS: usize = 4;
 /// Length of the two strips of a separable large kernel.
 const LONG: usize = 23;
 /// Initial layer scale of every branch of a block.
@@ -80,7 +74,7 @@ pub(crate) const RPKNET: Entry<RpkNet> = Entry {
 #[derive(Module, Debug)]
 pub struct RpkNet {
     fnet: Encoder,
-    update_block: UpdateBlock,
+    update_block: UpdateBlock<Stage>,
     upnet_gate_layer: UpGate,
     groups: usize,
 }
@@ -100,12 +94,6 @@ struct Encoder {
 struct Stage {
     down: Transition,
     blocks: Vec<Block>,
-}
-
-/// `LayerTransition`.
-#[derive(Module, Debug)]
-struct Transition {
-    proj: Conv2d,
 }
 
 /// `SLK`: a large kernel in two strips, then an MLP, both residual.
@@ -139,21 +127,6 @@ struct Perceptron {
     fc1: Conv2d,
     dwconv: Depthwise,
     fc2: Conv2d,
-}
-
-/// `DWConv`.
-#[derive(Module, Debug)]
-struct Depthwise {
-    dwconv: Conv2d,
-}
-
-/// `UpdatePartialBlock`.
-#[derive(Module, Debug)]
-struct UpdateBlock {
-    encoder: MotionEncoder,
-    gru_list: [StageGru<Stage>; 2],
-    flow_head: FlowHead,
-    mask: WideConvexMask,
 }
 
 /// `UpNetPartial`: gates the hidden state of the coarser level.
@@ -193,7 +166,6 @@ impl RpkNet {
     pub(crate) fn new(device: &Device) -> Self {
         let conv = |channels, kernel| Conv2dConfig::new(channels, [kernel; 2]);
         let gate = || Stage::new([HIDDEN + HIDDEN + MOTION, HIDDEN], 1, device);
-        let gru = || StageGru::new(gate);
         Self {
             fnet: Encoder {
                 stem: [conv([3, STEPS[0][0]], 7).with_stride(2).init(device)],
@@ -202,12 +174,7 @@ impl RpkNet {
                 rec_stage: Stage::new([WIDEST, WIDEST], 2, device),
                 out_1x1: conv([WIDEST, FEATURES], 1).init(device),
             },
-            update_block: UpdateBlock {
-                encoder: MotionEncoder::of_entries((2 * RADIUS + 1) * (2 * RADIUS + 1), device),
-                gru_list: [gru(), gru()],
-                flow_head: FlowHead::new(HIDDEN, 256, device),
-                mask: WideConvexMask::new(HIDDEN, device),
-            },
+            update_block: UpdateBlock::new(HIDDEN, 2, gate, 2, device),
             upnet_gate_layer: UpGate {
                 conv: conv([2 * HIDDEN, HIDDEN], 1).init(device),
                 res: Residual {
@@ -232,9 +199,7 @@ impl RpkNet {
 
 impl FlowNetwork for RpkNet {
     fn features(&self, frames: Tensor<4>) -> Features {
-        let [batch, _, height, width] = frames.dims();
-        let frames = prepared(frames, Border::new([height, width], COARSEST_STRIDE));
-        Features::new(batch, self.pyramid(frames))
+        Features::of_prepared(frames, COARSEST_STRIDE, |frames| self.pyramid(frames))
     }
 
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
@@ -245,47 +210,44 @@ impl FlowNetwork for RpkNet {
         let of_level = request.iterations.div_ceil(LEVELS);
         let mut iterations = 0;
         let mut flows = Vec::new();
-        let mut hidden = None;
-        let mut flow: Option<Tensor<4>> = None;
+        let mut coarser: Option<[Tensor<4>; 2]> = None;
         for (number, (first, second)) in firsts.into_iter().zip(seconds).enumerate() {
             let finest = number + 1 == LEVELS;
             let stride = COARSEST_STRIDE >> number;
             let size = [height / stride, width / stride];
-            let grid = pixel_grid([batch, size[0], size[1]], &first.device());
-            let level = Level::new(first, second);
-            let (mut state, mut now) = match (hidden.take(), flow.take()) {
-                (Some(coarser), Some(flow)) => (
-                    self.upnet_gate_layer.forward(coarser, level.hidden, self.norm()),
+            let Level { correlation, context, hidden } = Level::new(first, second);
+            let start = match coarser {
+                Some([state, flow]) => [
+                    self.upnet_gate_layer.forward(state, hidden, self.norm()),
                     resize_flow(flow, size, Grids::CornersOnCorners),
-                ),
-                _ => (level.hidden, request.start_flow(batch, size, &grid.device())),
+                ],
+                None => {
+                    let flow = request.start_flow(batch, size, &hidden.device());
+                    [hidden, flow]
+                }
+            };
+            let step = |hidden, flow, windows| {
+                let sum = |stage: &Stage, x, activation| stage.forward(x, HIDDEN, Norm::Layer, activation);
+                let [hidden, change] = self.update_block.step(hidden, &context, [flow, windows], sum);
+                Refined { hidden, change, further: () }
             };
             let mut refinement = request.refinement(of_level, border);
-            loop {
-                now = now.detach();
-                let windows = level.correlation.windows(grid.clone() + now.clone(), RADIUS);
-                let [next, change] = self.update_block.step(state, &level.context, now.clone(), windows);
-                state = next;
-                let last = refinement.ends_with(&change);
-                now = now + change;
+            let lookup = (&correlation, RADIUS);
+            coarser = Some(refine(lookup, &mut refinement, start, step, |hidden, flow, (), last| {
                 if request.every_iteration || (finest && last) {
                     let fine = if finest {
-                        upsample_by(&self.update_block.mask.weights(&state), now.clone())
+                        upsample_by(&self.update_block.mask.weights(hidden), flow.clone())
                     } else {
-                        resize_flow(now.clone(), [height, width], Grids::CornersOnCorners)
+                        resize_flow(flow.clone(), [height, width], Grids::CornersOnCorners)
                     };
                     flows.push(border.remove(fine));
                 }
-                if last {
-                    break;
-                }
-            }
+            }));
             iterations += refinement.done();
-            (hidden, flow) = (Some(state), Some(now));
         }
         let coarsest = [height / COARSEST_STRIDE, width / COARSEST_STRIDE];
         Estimate {
-            coarse: flow.map(|flow| resize_flow(flow, coarsest, Grids::CornersOnCorners)),
+            coarse: coarser.map(|[_, flow]| resize_flow(flow, coarsest, Grids::CornersOnCorners)),
             iterations: Some(iterations),
             ..Estimate::of_flows(flows)
         }
@@ -337,26 +299,6 @@ impl UpGate {
         let y = norm.of(self.res.conv2.forward(y, Identity), Identity);
         let gate = activated_sum(x, y, Sigmoid);
         own.clone() + gate * (coarser - own)
-    }
-}
-
-impl UpdateBlock {
-    /// The next hidden state, and the change of the flow.
-    fn step(
-        &self,
-        mut hidden: Tensor<4>,
-        context: &Tensor<4>,
-        flow: Tensor<4>,
-        windows: Tensor<4>,
-    ) -> [Tensor<4>; 2] {
-        let motion = self.encoder.forward(flow, windows);
-        let input = concatenate(vec![context.clone(), motion]);
-        for gru in &self.gru_list {
-            hidden = gru.step(hidden, &input, |stage, x, activation| {
-                stage.forward(x, HIDDEN, Norm::Layer, activation)
-            });
-        }
-        [hidden.clone(), self.flow_head.forward(hidden)]
     }
 }
 

@@ -17,11 +17,11 @@ use crate::blocks::{ConvexMask, MotionEncoder, convex_mask, convex_upsample};
 use crate::estimate::{Encoded, Estimate, LaplaceMixture, Request};
 use crate::facts::{Facts, IterationPresets, Start, ptlflow};
 use crate::features::Features;
-use crate::frames::{Border, Frames, prepared};
+use crate::frames::{Border, Frames};
 use crate::memory_need::MemoryNeed;
 use crate::network::{Entry, FlowNetwork};
 use crate::raft::{HIDDEN, RADIUS};
-use crate::recurrent::{LEVELS, STRIDE, pixel_grid};
+use crate::recurrent::{LEVELS, Refined, STRIDE, refine};
 
 /// Channels of the context, and of the motion features.
 const CONTEXT: usize = HIDDEN;
@@ -149,13 +149,6 @@ struct ResidualBlock {
     downsample: Option<(Conv2d, BatchNorm)>,
 }
 
-/// Output of the flow head, in coarse pixels.
-struct Change {
-    flow: Tensor<4>,
-    /// Log weights, then log scales: `[batch, 4, height, width]`.
-    mixture: Tensor<4>,
-}
-
 impl SeaRaft {
     fn new(blocks: [usize; 3], device: &Device) -> Self {
         let conv = |inputs, outputs| Conv2dConfig::new([inputs, outputs], [3, 3]).init(device);
@@ -179,9 +172,10 @@ impl SeaRaft {
         [both.clone().narrow(1, 0, HIDDEN), both.narrow(1, HIDDEN, CONTEXT)]
     }
 
-    fn change(&self, hidden: Tensor<4>) -> Change {
+    /// The change of the flow in coarse pixels, and the mixture: log weights, then log scales, `[batch, 4, height, width]`.
+    fn change(&self, hidden: Tensor<4>) -> [Tensor<4>; 2] {
         let change = self.flow_head.2.forward(self.flow_head.0.forward(hidden, Relu), Identity);
-        Change { flow: change.clone().narrow(1, 0, 2), mixture: change.narrow(1, 2, 4) }
+        [change.clone().narrow(1, 0, 2), change.narrow(1, 2, 4)]
     }
 
     /// Adds the flow and its mixture to the estimate, upsampled.
@@ -189,7 +183,7 @@ impl SeaRaft {
         &self,
         estimate: &mut Estimate,
         hidden: &Tensor<4>,
-        Change { flow, mixture }: Change,
+        [flow, mixture]: [Tensor<4>; 2],
         border: Border,
     ) {
         let fine = |flow| border.remove(convex_upsample(&self.upsample_weight, hidden, flow));
@@ -201,9 +195,7 @@ impl SeaRaft {
 
 impl FlowNetwork for SeaRaft {
     fn features(&self, frames: Tensor<4>) -> Features {
-        let [batch, _, height, width] = frames.dims();
-        let frames = prepared(frames, Border::new([height, width], STRIDE));
-        Features::new(batch, vec![self.fnet.forward(frames)])
+        Features::of_prepared(frames, STRIDE, |frames| vec![self.fnet.forward(frames)])
     }
 
     fn encode(&self, frames: Frames) -> Option<Encoded> {
@@ -214,7 +206,7 @@ impl FlowNetwork for SeaRaft {
 
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         let (first, second, border) = frames.prepared(STRIDE);
-        let (mut hidden, context, [first, second]) = match &request.encoded {
+        let (hidden, context, [first, second]) = match &request.encoded {
             Some(encoded) => encoded.of_pair(),
             None => {
                 let [hidden, context] = self.hidden_and_context(first.clone(), second.clone());
@@ -224,36 +216,34 @@ impl FlowNetwork for SeaRaft {
             }
         };
         let correlation = Correlation::new(first, second, LEVELS);
-        let [batch, _, height, width] = hidden.dims();
-        let grid = pixel_grid([batch, height, width], &hidden.device());
-
         let mut estimate = Estimate::of_flows(Vec::new());
-        let mut flow = match &request.start {
+        let flow = match &request.start {
             Some(start) => start.clone(),
             None => {
-                let change = self.change(hidden.clone());
-                let flow = change.flow.clone();
+                let [flow, mixture] = self.change(hidden.clone());
                 if request.every_iteration {
-                    self.push_upsampled(&mut estimate, &hidden, change, border);
+                    self.push_upsampled(&mut estimate, &hidden, [flow.clone(), mixture], border);
                 }
                 flow
             }
         };
+        let step = |hidden, flow, windows| {
+            let hidden = self.update_block.forward(hidden, &context, flow, windows);
+            let [change, mixture] = self.change(hidden.clone());
+            Refined { hidden, change, further: mixture }
+        };
         let mut refinement = request.refinement(request.iterations, border);
-        loop {
-            flow = flow.detach();
-            let windows = correlation.windows(grid.clone() + flow.clone(), RADIUS);
-            hidden = self.update_block.forward(hidden, &context, flow.clone(), windows);
-            let change = self.change(hidden.clone());
-            let last = refinement.ends_with(&change.flow);
-            flow = flow + change.flow.clone();
-            if request.every_iteration || last {
-                self.push_upsampled(&mut estimate, &hidden, Change { flow: flow.clone(), ..change }, border);
-            }
-            if last {
-                break;
-            }
-        }
+        let [hidden, flow] = refine(
+            (&correlation, RADIUS),
+            &mut refinement,
+            [hidden, flow],
+            step,
+            |hidden, flow, mixture, last| {
+                if request.every_iteration || last {
+                    self.push_upsampled(&mut estimate, hidden, [flow.clone(), mixture], border);
+                }
+            },
+        );
         let iterations = Some(refinement.done());
         Estimate { coarse: Some(flow), hidden: Some(hidden), iterations, ..estimate }
     }

@@ -9,13 +9,12 @@ use srflow_ops::concatenate;
 use srflow_ops::pointwise::tensor::pointwise_layers;
 
 use crate::blocks::{
-    Aggregate, Attention, ConvexMask, Encoder, EncoderConfig, NormKind, convex_mask, convex_upsample,
-    window_entries,
+    Aggregate, Attention, ConvexMask, Encoder, convex_mask, convex_upsample, window_entries,
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
 use crate::network::Entry;
-use crate::raft::{HIDDEN, RADIUS};
+use crate::raft::{HIDDEN, RADIUS, Raft};
 use crate::recurrent::{self, Encoders, Recurrent, Refined};
 
 /// Depthwise kernel sizes of the motion encoder and the flow head.
@@ -84,9 +83,10 @@ struct SuperKernelBlock {
 impl SkFlow {
     pub(crate) fn new(device: &Device) -> Self {
         let block = |inputs, outputs| SuperKernelBlock::new([inputs, outputs], KERNELS, device);
+        let Raft { fnet, cnet, .. } = Raft::new(device);
         Self {
-            fnet: EncoderConfig::basic(256, NormKind::Instance).init(device),
-            cnet: EncoderConfig::basic(2 * HIDDEN, NormKind::Batch).init(device),
+            fnet,
+            cnet,
             update_block: UpdateBlock {
                 encoder: MotionEncoder {
                     convc1: block(window_entries(RADIUS), 256),
@@ -114,14 +114,14 @@ impl Recurrent for SkFlow {
         &self,
         context: Tensor<4>,
         _: Option<&Memory>,
-    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined {
+    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined<Option<Memory>> {
         let block = &self.update_block;
         let attention = self.att.forward(context.clone());
         move |hidden, flow, windows| {
             let motion = block.encoder.forward(flow, windows);
             let global = block.aggregator.forward(&attention, motion.clone());
             let [hidden, change] = block.forward(hidden, context.clone(), motion, global);
-            Refined { hidden, change, memory: None }
+            Refined { hidden, change, further: None }
         }
     }
 

@@ -134,8 +134,8 @@ impl Network {
 networks! {
     SrFlow(srflow::SrFlow) = srflow::SRFLOW,
     Raft(raft::Raft) = raft::RAFT,
-    RaftSmall(raft_small::RaftSmall) = raft_small::RAFT_SMALL,
-    Gma(gma::Gma) = gma::GMA,
+    RaftSmall(raft::Raft) = raft_small::RAFT_SMALL,
+    Gma(raft::Raft) = gma::GMA,
     SkFlow(skflow::SkFlow) = skflow::SKFLOW,
     RpkNet(rpknet::RpkNet) = rpknet::RPKNET,
     DpFlow(dpflow::DpFlow) = dpflow::DPFLOW,

@@ -27,10 +27,11 @@ use crate::estimate::{Estimate, Request};
 use crate::facts::{Facts, IterationPresets, Start, ptlflow};
 use crate::features::Features;
 use crate::frames::{Border, Frames};
+use crate::iterations::Refinement;
 use crate::memory_need::MemoryNeed;
 use crate::network::{Entry, FlowNetwork};
 use crate::raft::{HIDDEN, UpdateBlock};
-use crate::recurrent::pixel_grid;
+use crate::recurrent::{Refined, pixel_grid, refine};
 use crate::settings::{Allowed, Setting};
 
 /// Channels of the features.
@@ -273,13 +274,17 @@ impl FlowNetwork for UniMatch {
                     let x = concatenate(vec![flow.clone(), features.clone()]);
                     push(unscaled_convex_upsample(mask, &x, flow.clone(), stride));
                 }
-                if let (Some(proj), Some(block), Some(pair)) = (&self.refine_proj, &self.refine, to_refine) {
+                if let (Some(proj), Some(block @ UpdateBlock { mask: Some(mask), .. }), Some(pair)) =
+                    (&self.refine_proj, &self.refine, to_refine)
+                {
                     let start = proj.forward(features, Identity);
-                    let (refined, done) =
-                        refine(block, pair, start, flow, (request, border), |mask, hidden, flow| {
-                            push(unscaled_convex_upsample(mask, hidden, flow, stride));
-                        });
-                    (flow, iterations) = (refined, Some(done));
+                    let mut refinement = request.refinement(request.iterations, border);
+                    flow = refined(block, pair, start, flow, &mut refinement, |hidden, flow, (), last| {
+                        if request.every_iteration || last {
+                            push(unscaled_convex_upsample(mask, hidden, flow.clone(), stride));
+                        }
+                    });
+                    iterations = Some(refinement.done());
                 }
             }
             coarser = Some(flow);
@@ -303,36 +308,25 @@ impl FlowNetwork for UniMatch {
     }
 }
 
-/// Flow after the refinements, all of which use the same hidden state (the first half of `start`) and context, and their number.
-/// Calls `push` with mask, hidden state and flow for each flow that is requested at full size.
-fn refine(
+/// Flow after the refinements, all of which use the same hidden state (the first half of `start`) and context. See [`refine`].
+fn refined(
     block: &UpdateBlock,
     [first, second]: [Tensor<4>; 2],
     start: Tensor<4>,
-    mut flow: Tensor<4>,
-    (request, border): (&Request, Border),
-    mut push: impl FnMut(&ConvexMask, &Tensor<4>, Tensor<4>),
-) -> (Tensor<4>, usize) {
-    let [batch, _, height, width] = flow.dims();
-    let grid = pixel_grid([batch, height, width], &flow.device());
+    flow: Tensor<4>,
+    refinement: &mut Refinement,
+    after: impl FnMut(&Tensor<4>, &Tensor<4>, (), bool),
+) -> Tensor<4> {
     let correlation = Correlation::new(first, second, 1);
     let hidden = start.clone().narrow(1, 0, HIDDEN).tanh();
     let gru = block.gru.prepared(&relu(start.narrow(1, HIDDEN, HIDDEN)));
-    let mut refinement = request.refinement(request.iterations, border);
-    loop {
-        flow = flow.detach();
-        let windows = row_by_row(correlation.windows(grid.clone() + flow.clone(), REFINEMENT_RADIUS));
-        let hidden = gru.step(hidden.clone(), block.encoder.forward(flow.clone(), windows));
-        let change = block.flow_head.forward(hidden.clone());
-        let last = refinement.ends_with(&change);
-        flow = flow + change;
-        if request.every_iteration || last {
-            push(&block.mask, &hidden, flow.clone());
-        }
-        if last {
-            return (flow, refinement.done());
-        }
-    }
+    let step = |_, flow, windows| {
+        let hidden = gru.step(hidden.clone(), block.encoder.forward(flow, row_by_row(windows)));
+        Refined { change: block.flow_head.forward(hidden.clone()), hidden, further: () }
+    };
+    let lookup = (&correlation, REFINEMENT_RADIUS);
+    let [_, flow] = refine(lookup, refinement, [hidden.clone(), flow], step, after);
+    flow
 }
 
 /// Reorders correlation windows, which are stored column by column as in RAFT, row by row.

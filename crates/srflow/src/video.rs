@@ -7,12 +7,14 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::thread::JoinHandle;
 
 use anyhow::{Context as _, anyhow, bail, ensure};
-use srflow_core::Image;
+use srflow_core::{Image, printable};
 use srflow_files::{FileKind, open_file};
 
 /// Extensions of video files.
-const EXTENSIONS: [&str; 15] = [
-    "mp4", "m4v", "mov", "avi", "mkv", "webm", "mpg", "mpeg", "wmv", "flv", "ogv", "ts", "3gp", "y4m", "gif",
+pub const EXTENSIONS: [&str; 42] = [
+    "mp4", "m4v", "mov", "qt", "avi", "divx", "mkv", "webm", "mpg", "mpeg", "mpe", "m1v", "m2v", "m2p",
+    "vob", "mod", "tod", "ts", "mts", "m2ts", "m2t", "tp", "trp", "wmv", "asf", "flv", "f4v", "ogv", "ogm",
+    "3gp", "3g2", "mxf", "dv", "mjpeg", "mjpg", "h264", "264", "hevc", "ivf", "y4m", "gif", "apng",
 ];
 /// Larger sides are treated as errors.
 const LONGEST_SIDE: usize = 1 << 16;
@@ -43,8 +45,11 @@ const ONLY_THIS_FILE: [&str; 4] = [
     "-protocol_whitelist",
     "file,pipe",
     "-format_whitelist",
-    "mov,matroska,avi,mpeg,mpegvideo,mpegts,m4v,asf,flv,ogg,yuv4mpegpipe,gif",
+    "mov,matroska,avi,mpeg,mpegvideo,mpegts,m4v,asf,flv,ogg,mxf,dv,mjpeg,h264,hevc,ivf,yuv4mpegpipe,gif,apng",
 ];
+
+/// The first stream that is a video and no picture beside one, such as a cover.
+const STREAM: &str = "V:0";
 
 /// The path in a form that ffmpeg can only take for a file name.
 fn address(path: &Path) -> OsString {
@@ -64,7 +69,7 @@ pub fn facts(path: &Path) -> Facts {
         "-v",
         "error",
         "-select_streams",
-        "v:0",
+        STREAM,
         "-count_packets",
         "-show_entries",
         entries,
@@ -108,12 +113,24 @@ fn complaints(child: &mut Child) -> Option<JoinHandle<String>> {
     }))
 }
 
-fn ended(mut child: Child, complaints: Option<JoinHandle<String>>, what: &str) -> anyhow::Result<()> {
+/// Waits for the program, and returns what it printed.
+///
+/// # Errors
+/// When it failed.
+fn ended(mut child: Child, complaints: Option<JoinHandle<String>>, what: &str) -> anyhow::Result<String> {
     let status = child.wait().with_context(|| format!("{what}: waiting for ffmpeg"))?;
     let said = complaints.and_then(|thread| thread.join().ok()).unwrap_or_default();
-    // It continues after broken frames, and only prints a message.
-    ensure!(status.success() && said.is_empty(), "{what}: ffmpeg ended with {status} and printed: {said}");
-    Ok(())
+    let said = said.lines().map(|line| printable(line.trim())).collect::<Vec<_>>().join("\n");
+    ensure!(status.success(), "{what}: ffmpeg ended with {status} and printed: {said}");
+    Ok(said)
+}
+
+/// The first lines of what the program printed.
+fn start_of(said: &str) -> String {
+    const LINES: usize = 3;
+    let more = said.lines().skip(LINES).count();
+    let start = said.lines().take(LINES).collect::<Vec<_>>().join("; ");
+    if more == 0 { start } else { format!("{start}; and {more} more lines") }
 }
 
 /// The frames of a video in order.
@@ -122,6 +139,8 @@ pub struct VideoReader {
     child: Option<Child>,
     stdout: BufReader<ChildStdout>,
     complaints: Option<JoinHandle<String>>,
+    /// How many frames were read.
+    frames: u64,
 }
 
 impl VideoReader {
@@ -132,27 +151,34 @@ impl VideoReader {
         let mut command = Command::new("ffmpeg");
         command.args(["-nostdin", "-v", "error"]).args(ONLY_THIS_FILE).arg("-i").arg(address(path));
         // Every stored frame once, whatever its timestamp.
-        command.args(["-map", "0:v:0", "-fps_mode", "passthrough", "-pix_fmt", "rgb24"]);
+        command.args(["-map", &format!("0:{STREAM}"), "-fps_mode", "passthrough", "-pix_fmt", "rgb24"]);
         command.args(["-f", "image2pipe", "-c:v", "ppm", "-"]);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let what = format!("{}: reading a video", path.display());
         let mut child = command.spawn().map_err(|error| not_started(error, &what))?;
         let stdout = child.stdout.take().context("ffmpeg has no output")?;
         let complaints = complaints(&mut child);
-        Ok(Self { path: path.to_owned(), child: Some(child), stdout: BufReader::new(stdout), complaints })
+        let stdout = BufReader::new(stdout);
+        Ok(Self { path: path.to_owned(), child: Some(child), stdout, complaints, frames: 0 })
     }
 
-    /// The next frame; `None` after the last.
+    /// The next frame; `None` after the last. `ffmpeg` skips broken frames, such as those before the first key frame of a recording that
+    /// begins between two; a note quotes what it prints about them.
     ///
     /// # Errors
-    /// When `ffmpeg` fails.
+    /// When `ffmpeg` fails, or complains and finds no frame.
     pub fn next_frame(&mut self) -> anyhow::Result<Option<Image>> {
         let what = format!("{}: reading a video", self.path.display());
         if self.stdout.fill_buf().with_context(|| what.clone())?.is_empty() {
-            let child = self.child.take();
-            child.map_or(Ok(()), |child| ended(child, self.complaints.take(), &what))?;
+            let Some(child) = self.child.take() else { return Ok(None) };
+            let said = ended(child, self.complaints.take(), &what)?;
+            if !said.is_empty() {
+                ensure!(self.frames > 0, "{what}: ffmpeg found no frame and printed: {said}");
+                log::warn!("{what}: ffmpeg found {} frames and printed: {}", self.frames, start_of(&said));
+            }
             return Ok(None);
         }
+        self.frames += 1;
         read_ppm(&mut self.stdout).with_context(|| what).map(Some)
     }
 }
@@ -254,7 +280,12 @@ impl VideoWriter {
     fn close(&mut self) -> anyhow::Result<()> {
         drop(self.stdin.take());
         let what = format!("{}: writing a video", self.path.display());
-        self.child.take().map_or(Ok(()), |child| ended(child, self.complaints.take(), &what))
+        let Some(child) = self.child.take() else { return Ok(()) };
+        let said = ended(child, self.complaints.take(), &what)?;
+        if !said.is_empty() {
+            log::warn!("{what}: ffmpeg printed: {}", start_of(&said));
+        }
+        Ok(())
     }
 }
 
@@ -287,8 +318,18 @@ mod tests {
     }
 
     #[test]
+    fn notes_quote_the_first_lines() {
+        assert_eq!(start_of("a"), "a");
+        assert_eq!(start_of("a\nb\nc\nd\ne"), "a; b; c; and 2 more lines");
+    }
+
+    #[test]
     fn videos_are_known_by_their_names() {
-        assert!(is_video(Path::new("a/clip.MP4")) && is_video(Path::new("clip.mkv")));
+        for name in
+            ["a/clip.MP4", "clip.mkv", "00001.MTS", "a.m2ts", "VTS_01_1.VOB", "a.asf", "a.mxf", "a.apng"]
+        {
+            assert!(is_video(Path::new(name)), "{name}");
+        }
         assert!(!is_video(Path::new("frame.png")) && !is_video(Path::new("mp4")));
     }
 }

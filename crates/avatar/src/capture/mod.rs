@@ -26,7 +26,7 @@ mod write;
 use std::path::{Path, PathBuf};
 
 use srflow_core::{Image, Plane};
-use srflow_files::{FileError, FileProblem, read_image};
+use srflow_files::{FileError, FileProblem, read_alpha, read_image};
 use srflow_splat::Camera;
 
 pub use export::{PARAMETERS_FOLDER, parameters_name, write_canonical, write_tracked};
@@ -161,9 +161,9 @@ impl Capture {
     pub fn mask(&self, view: &CaptureView) -> Result<Option<Plane>, FileError> {
         let Some(mask) = &view.mask else { return Ok(None) };
         let path = self.dir.join(mask);
-        let grey = read_image(&path)?;
-        check_size(&path, grey.size(), &view.camera)?;
-        Ok(Some(Plane::from_fn(grey.width(), grey.height(), |x, y| f32::from(grey.get(x, y)[0]) / 255.0)))
+        let alpha = read_alpha(&path)?;
+        check_size(&path, alpha.size(), &view.camera)?;
+        Ok(Some(alpha))
     }
 
     /// Reads the head's parameters at all timesteps, in the order of [`Capture::timesteps`]. The identity is that of the first.

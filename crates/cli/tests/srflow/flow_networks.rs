@@ -472,6 +472,20 @@ fn videos_go_through_ffmpeg() {
     assert_eq!(compare(&read("clip/000001.flo"), &read("clip-pair.flo")).0, 0.0);
     assert_eq!(fs::metadata(data().join("colours.mp4")).unwrap().len(), 2 * 3 * (SIZE.0 * SIZE.1) as u64);
 
+    // A stream that begins between two key frames: ffmpeg skips to the first and complains.
+    let complains = "for last; do :; done\nif [ \"$last\" = - ]; then cat clip.mp4; echo non-existing PPS 0 referenced >&2; \
+                     else cat > \"${last#file:}\"; fi";
+    program("ffmpeg", complains);
+    let output = run(&path, &["-o", "cut-clip", "--viz", "cut-colours.mp4", "--viz-max", "9"]);
+    succeeds(&output);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let note =
+        "note: clip.mp4: reading a video: ffmpeg found 3 frames and printed: non-existing PPS 0 referenced";
+    assert!(said.contains(note), "{said}");
+    assert!(data().join("cut-clip/000002.flo").is_file() && data().join("cut-colours.mp4").is_file());
+    program("ffmpeg", "echo Invalid data >&2");
+    refuses(&run(&path, &["-o", "no-frame"]), 1, &["ffmpeg found no frame and printed: Invalid data"]);
+
     refuses(&run(&path, &["-o", "clip"]), 1, &["clip/000001.flo exists"]);
     let not_found = ["clip.mp4", "ffmpeg, which is not on the PATH"];
     refuses(&run("/nowhere", &["-o", "no-program"]), 1, &not_found);

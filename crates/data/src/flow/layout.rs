@@ -4,9 +4,12 @@ use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
+use srflow_core::excerpt;
+
 use super::error::DatasetError;
 use super::gaps::Gaps;
-use crate::listing::{contents, elsewhere, files, folders, last_number, name, stem};
+use crate::FrameNames;
+use crate::listing::{contents, elsewhere, files, folders, name};
 
 /// Checks that `dir` contains `needed` (a relative path with `/` separators). Otherwise the error says what `dir` contains on
 /// the way there, and where `needed` is if that is one or two levels up or down.
@@ -68,19 +71,32 @@ pub fn folders_without(dir: &Path, counterpart: &Path, gaps: &mut Gaps) -> Resul
     Ok(())
 }
 
-/// The files of a folder by the last number in their names: `OpticalFlowIntoFuture_0006_L.pfm` is 6.
+/// The files of a folder by the numbers in their names (see [`FrameNames`]): `OpticalFlowIntoFuture_0006_L.pfm` is 6.
 pub type Numbered = BTreeMap<u64, PathBuf>;
 
-/// The files of `dir` by number. A name without one and a number that occurs twice are gaps.
+/// The files of `dir` by number. A name without one, a number that occurs twice and copies are gaps.
 pub fn numbered(dir: &Path, endings: &[&str], gaps: &mut Gaps) -> Result<Numbered, DatasetError> {
     let mut found = Numbered::new();
-    for path in files(dir, endings)? {
-        match last_number(&stem(&path)) {
-            Some(number) => insert_once(&mut found, number, path, gaps),
-            None => gaps.push(format!("{}: no frame number in its name", gaps.shown(&path))),
+    let frames = FrameNames::new(files(dir, endings)?);
+    for (path, number) in frames.files().iter().zip(frames.numbers()) {
+        match number.and_then(|number| u64::try_from(number).ok()) {
+            Some(number) => insert_once(&mut found, number, path.clone(), gaps),
+            None => gaps.push(format!("{}: no frame number in its name", gaps.shown(path))),
         }
     }
+    copies_are_gaps(&frames, gaps);
     Ok(found)
+}
+
+/// Reports as gaps the copies among the frames of a folder.
+pub fn copies_are_gaps(frames: &FrameNames, gaps: &mut Gaps) {
+    for (copy, original) in frames.copies() {
+        let original = excerpt(original);
+        gaps.push(format!(
+            "{}: its name is that of a copy of {original}; move it elsewhere",
+            gaps.shown(copy)
+        ));
+    }
 }
 
 /// Adds a file under its key; where another has the key already, that is a gap.

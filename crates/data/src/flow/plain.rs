@@ -15,7 +15,7 @@ use super::gaps::Gaps;
 use super::layout;
 use super::triplets::triplets;
 use super::{DatasetError, Entry, Kind, Occlusion, Request, Split, Truth};
-use crate::listing;
+use crate::{FrameNames, listing};
 
 pub(super) const KIND: Kind = Kind {
     name: "folder",
@@ -88,7 +88,9 @@ fn pairs_of_scene(
     let mut masks = by_stem("mask", listing::MASKS)?;
     let mut occlusions = by_stem("occlusion", listing::IMAGES)?;
     let mut regions = by_stem("regions", listing::IMAGES)?;
-    let frames = listing::files(&dir.join("frames").join(scene), listing::IMAGES)?;
+    let frames = FrameNames::new(listing::files(&dir.join("frames").join(scene), listing::IMAGES)?);
+    layout::copies_are_gaps(&frames, gaps);
+    let frames = frames.files();
 
     let mut entries = Vec::new();
     for pair in frames.windows(2) {

@@ -39,6 +39,8 @@ pub struct MissingFrames {
     pub holds_key_frames: bool,
     /// Whether onset or apex is missing, so that the clip cannot be used.
     pub dropped: bool,
+    /// Files of the folder that are not read but may be the frames, with advice.
+    pub unread: Option<String>,
 }
 
 impl MissingFrames {
@@ -64,6 +66,9 @@ impl fmt::Display for MissingFrames {
         }
         if !self.folder.is_dir() {
             write!(f, " (no folder {})", self.folder.display())?;
+        }
+        if let Some(unread) = &self.unread {
+            write!(f, " (the folder has {unread})")?;
         }
         Ok(())
     }

@@ -39,7 +39,7 @@ pub enum MicroExpressionError {
     NoFolders { kind: &'static str, looked_for: String, found: String },
     /// Frames are missing, which was not allowed.
     #[error(
-        "{dataset}: {frames} frames of {clips} clips are missing below {}:\n{listed}\ncopy them there, or continue without them with `allow_missing`{key_frames}",
+        "{dataset}: {frames} frames of {clips} clips are missing below {}:\n{listed}\n{advice}, or continue without them with `allow_missing`{key_frames}",
         .root.display()
     )]
     Missing {
@@ -48,6 +48,8 @@ pub enum MicroExpressionError {
         frames: u64,
         clips: usize,
         listed: String,
+        /// Where to get the frames.
+        advice: &'static str,
         /// Advice for clips that consist of key frames alone.
         key_frames: &'static str,
     },
@@ -75,6 +77,10 @@ impl MicroExpressionError {
             frames: missing.iter().map(MissingFrames::count).fold(0, u64::saturating_add),
             clips: missing.len(),
             listed: listed.join("\n"),
+            advice: match missing.iter().all(|clip| clip.unread.is_some()) {
+                true => "convert the files that are there",
+                false => "copy them there",
+            },
             key_frames: match missing.iter().any(|clip| clip.holds_key_frames) {
                 true => "; for clips with only onset, apex and offset, give `only_key_frames`",
                 false => "",

@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use srflow_core::excerpt;
+
 use super::{Annotation, Clip, DropReason, Dropped, MicroExpressionError, MissingFrames};
-use crate::listing;
+use crate::{FrameNames, listing};
 
 /// The folders of a dataset's clips, in the annotations' order; they need not exist.
 pub struct ClipFolders {
@@ -42,16 +44,36 @@ pub fn below(
     })
 }
 
-/// Pictures of a folder by the last number in their names, with any number of digits.
+/// Pictures of a folder by the numbers in their names (see [`FrameNames`]). Pictures without a number, with a negative one, and copies are
+/// not part of the recording.
 pub fn numbered_frames(folder: &Path) -> Result<BTreeMap<u64, PathBuf>, MicroExpressionError> {
+    let names = FrameNames::new(listing::pictures(folder)?);
+    names.notes().for_each(|note| log::warn!("{note}"));
     let mut frames = BTreeMap::new();
-    for path in listing::pictures(folder)? {
-        // A picture without a number is not part of the recording.
-        let Some(number) = listing::last_number(&listing::stem(&path)) else { continue };
+    let numbered: Vec<(i64, &PathBuf)> = names
+        .numbers()
+        .into_iter()
+        .zip(names.files())
+        .filter_map(|(number, path)| Some((number?, path)))
+        .collect();
+    if let [(number, first), .., (_, last)] = &numbered[..]
+        && numbered.iter().all(|(other, _)| other == number)
+        && numbered.len() > 2
+    {
+        let reason = format!(
+            "expected names with the number of the frame, found {number} in all {} from {} to {}; number the files",
+            numbered.len(),
+            excerpt(&listing::name(first)),
+            excerpt(&listing::name(last))
+        );
+        return Err(MicroExpressionError::Table { path: folder.to_owned(), reason });
+    }
+    for (number, path) in numbered {
+        let Ok(number) = u64::try_from(number) else { continue };
         if let Some(other) = frames.insert(number, path.clone()) {
-            let other = listing::name(&other);
+            let other = excerpt(&listing::name(&other)).to_string();
             let reason = format!("frame {number} exists twice, also as {other}; keep one of the two");
-            return Err(MicroExpressionError::Table { path, reason });
+            return Err(MicroExpressionError::Table { path: path.clone(), reason });
         }
     }
     Ok(frames)
@@ -99,6 +121,7 @@ pub fn locate(
                     && (annotation.apex.is_some()
                         || only_frame_between(&frames, annotation.onset, annotation.offset).is_some()),
                 dropped: !usable,
+                unread: listing::unread_files(folder),
             });
         }
         if usable {

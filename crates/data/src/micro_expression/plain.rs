@@ -1,7 +1,7 @@
 //! Users' own clips: a `clips.csv` with one row per clip, next to the clips' folders.
 //!
-//! Columns: `clip` (folder of the frames, relative to the CSV file), `subject`, `onset`, `apex`, `offset` (frame numbers: the
-//! last number in a picture's name; the apex may be empty) and `class` (a class's name or number, or an emotion that belongs
+//! Columns: `clip` (folder of the frames, relative to the CSV file), `subject`, `onset`, `apex`, `offset` (frame numbers as in the
+//! pictures' names; the apex may be empty) and `class` (a class's name or number, or an emotion that belongs
 //! to one). Optional: `label`, `action_units` and `objective`.
 
 use std::path::{Path, PathBuf};

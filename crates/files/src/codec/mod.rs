@@ -5,6 +5,7 @@ mod claim;
 mod flo;
 mod flo5;
 pub(crate) mod hdf5;
+mod jpeg_outline;
 mod kitti_png;
 pub(crate) mod npy;
 pub(crate) mod npz;
@@ -21,6 +22,7 @@ use srflow_core::{FlowField, named};
 
 pub(crate) use checks::read_with;
 pub(crate) use claim::{MAX_PIXELS, check_size, read_all};
+pub(crate) use jpeg_outline::{JpegOutline, truncated};
 pub(crate) use png_outline::{PNG_MAGIC, PngOutline};
 
 use checks::{check_finite_or_unknown, quote};

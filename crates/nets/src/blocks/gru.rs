@@ -35,6 +35,13 @@ pub(crate) struct SepConvGru {
     convq2: Conv2d,
 }
 
+/// The GRU of RAFT or of its small variant. The variant does not appear in the names of parameters.
+#[derive(Module, Debug)]
+pub(crate) enum Gru {
+    Separable(SepConvGru),
+    Square(ConvGru),
+}
+
 /// A GRU for one context. The context is constant over the iterations, so its part of the convolutions is computed once.
 pub(crate) struct PreparedGru<'a> {
     steps: Vec<PreparedStep<'a>>,
@@ -141,6 +148,16 @@ impl SepConvGru {
     /// The convolutions of update gate, reset gate and candidate, of each step.
     fn steps(&self) -> [[&Conv2d; 3]; 2] {
         [[&self.convz1, &self.convr1, &self.convq1], [&self.convz2, &self.convr2, &self.convq2]]
+    }
+}
+
+impl Gru {
+    /// A GRU whose input is `context` followed by the input of [`PreparedGru::step`].
+    pub(crate) fn prepared(&self, context: &Tensor<4>) -> PreparedGru<'_> {
+        match self {
+            Self::Separable(gru) => gru.prepared(context),
+            Self::Square(gru) => gru.prepared(context),
+        }
     }
 }
 

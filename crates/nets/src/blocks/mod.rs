@@ -4,7 +4,7 @@ mod attention;
 mod cross_covariance;
 mod encoder;
 mod gru;
-mod level;
+pub(crate) mod level;
 mod motion;
 mod resize;
 mod strips;
@@ -13,12 +13,11 @@ mod upsampler;
 pub(crate) use attention::{Aggregate, Attention, KEPT_BYTES, attention_map};
 pub(crate) use cross_covariance::{Attending, CrossCovariance};
 pub(crate) use encoder::{Block, Encoder, EncoderConfig, Norm, NormKind, conv as encoder_conv};
-pub(crate) use gru::{ConvGru, SepConvGru, StageGru};
-pub(crate) use level::Level;
-pub(crate) use motion::{FlowHead, MotionEncoder, SmallMotionEncoder, window_entries};
+pub(crate) use gru::{ConvGru, Gru, SepConvGru};
+pub(crate) use motion::{FlowHead, MotionEncoder, window_entries};
 pub(crate) use resize::{Grids, resize, resize_flow, resize_flow_smoothed, resize_smoothed};
 pub(crate) use strips::{Divided, Strips};
 pub(crate) use upsampler::{
-    ConvexMask, WideConvexMask, bilinear_upsample, convex_mask, convex_mask_by, convex_upsample,
-    convex_upsample_of_strips, unscaled_convex_upsample, upsample_by,
+    ConvexMask, bilinear_upsample, convex_mask, convex_mask_by, convex_upsample, convex_upsample_of_strips,
+    unscaled_convex_upsample, upsample_by,
 };

@@ -17,11 +17,11 @@ pub(crate) fn window_entries(radius: usize) -> usize {
     LEVELS * (2 * radius + 1) * (2 * radius + 1)
 }
 
-/// `BasicMotionEncoder`: 128 channels, the last two of them the flow.
+/// `BasicMotionEncoder`: 128 channels, the last two of them the flow. Or `SmallMotionEncoder`: 82 channels.
 #[derive(Module, Debug)]
 pub(crate) struct MotionEncoder {
     convc1: Conv2d,
-    convc2: Conv2d,
+    convc2: Option<Conv2d>,
     convf1: Conv2d,
     convf2: Conv2d,
     conv: Conv2d,
@@ -36,42 +36,29 @@ impl MotionEncoder {
     pub(crate) fn of_entries(entries: usize, device: &Device) -> Self {
         Self {
             convc1: conv([entries, 256], 1, device),
-            convc2: conv([256, 192], 3, device),
+            convc2: Some(conv([256, 192], 3, device)),
             convf1: conv([2, 128], 7, device),
             convf2: conv([128, 64], 3, device),
             conv: conv([64 + 192, 128 - 2], 3, device),
         }
     }
 
-    pub(crate) fn forward(&self, flow: Tensor<4>, windows: Tensor<4>) -> Tensor<4> {
-        let correlation = self.convc2.forward(self.convc1.forward(windows, Relu), Relu);
-        let motion = self.convf2.forward(self.convf1.forward(flow.clone(), Relu), Relu);
-        let out = self.conv.forward(concatenate(vec![correlation, motion]), Relu);
-        concatenate(vec![out, flow])
-    }
-}
-
-/// `SmallMotionEncoder`: 82 channels, the last two of them the flow.
-#[derive(Module, Debug)]
-pub(crate) struct SmallMotionEncoder {
-    convc1: Conv2d,
-    convf1: Conv2d,
-    convf2: Conv2d,
-    conv: Conv2d,
-}
-
-impl SmallMotionEncoder {
-    pub(crate) fn new(radius: usize, device: &Device) -> Self {
+    /// `SmallMotionEncoder`.
+    pub(crate) fn small(entries: usize, device: &Device) -> Self {
         Self {
-            convc1: conv([window_entries(radius), 96], 1, device),
+            convc1: conv([entries, 96], 1, device),
+            convc2: None,
             convf1: conv([2, 64], 7, device),
             convf2: conv([64, 32], 3, device),
-            conv: conv([128, 80], 3, device),
+            conv: conv([96 + 32, 80], 3, device),
         }
     }
 
     pub(crate) fn forward(&self, flow: Tensor<4>, windows: Tensor<4>) -> Tensor<4> {
-        let correlation = self.convc1.forward(windows, Relu);
+        let mut correlation = self.convc1.forward(windows, Relu);
+        if let Some(conv) = &self.convc2 {
+            correlation = conv.forward(correlation, Relu);
+        }
         let motion = self.convf2.forward(self.convf1.forward(flow.clone(), Relu), Relu);
         let out = self.conv.forward(concatenate(vec![correlation, motion]), Relu);
         concatenate(vec![out, flow])

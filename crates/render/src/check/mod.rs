@@ -9,8 +9,8 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use serde::Serialize;
-use srflow_core::{FlowField, Image, Labels, Mask, warp};
-use srflow_files::{FileKind, parse_error_in_words, read_flow, read_image, read_mask, read_text};
+use srflow_core::{FlowField, Image, Labels, Mask, Plane, warp};
+use srflow_files::{FileKind, parse_error_in_words, read_alpha, read_flow, read_image, read_mask, read_text};
 
 use crate::camera::camera_from_record;
 use crate::job::first_difference;
@@ -229,13 +229,13 @@ impl PairFindings {
     fn examine_frame(&mut self, files: &FrameFiles, size: (usize, usize)) -> Option<Mask> {
         let mask = self.read_mask(&files.mask, size);
         // Alpha is rounded such that its upper half is exactly the mask.
-        let alpha = self.read_mask(&files.alpha, size);
-        if let (Some(mask), Some(alpha)) = (&mask, &alpha)
-            && mask != alpha
-        {
-            let differ =
-                mask.pixels().iter().zip(alpha.pixels()).filter(|(mask, alpha)| mask != alpha).count();
-            self.problem(&files.mask, format!("differs from alpha above one half in {differ} pixels"));
+        let alpha = self.read(&files.alpha, size, read_alpha, Plane::size);
+        if let (Some(mask), Some(alpha)) = (&mask, &alpha) {
+            let covered = alpha.pixels().iter().map(|alpha| *alpha > 0.5);
+            let differ = covered.zip(mask.pixels()).filter(|(covered, inside)| covered != *inside).count();
+            if differ > 0 {
+                self.problem(&files.mask, format!("differs from alpha above one half in {differ} pixels"));
+            }
         }
         if let Some(path) = &files.depth
             && let Some(depth) = self.read_image(path, size)

@@ -4,8 +4,9 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
-use srflow_core::Image;
+use srflow_core::{Image, excerpt};
 use srflow_data::flow::pictures;
+use srflow_data::{FrameNames, unread_files};
 use srflow_files::{IMAGE_EXTENSIONS, read_image, read_image_size};
 
 use crate::error::wrong_settings;
@@ -43,6 +44,15 @@ impl Source {
         let files = match arguments {
             [folder] if folder.is_dir() => frames_of(folder)?,
             [file] if is_video(file) => return Ok(Self::Video(file.clone(), video::facts(file))),
+            [file] if !is_picture(file) => {
+                wrong_settings!(
+                    "{}: expected two frames or more (.{}), a folder of frames, or a video (.{}), found one file of another \
+                     ending",
+                    file.display(),
+                    IMAGE_EXTENSIONS.join(", ."),
+                    video::EXTENSIONS.join(", .")
+                )
+            }
             [frame] => {
                 wrong_settings!(
                     "{}: one frame has no flow: give two or more, a folder of frames, or a video",
@@ -154,6 +164,12 @@ fn read_video(
     Ok(())
 }
 
+/// Whether the name has the extension of a picture.
+fn is_picture(path: &Path) -> bool {
+    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension))
+}
+
 /// Frames of a video are named by their number, from 1.
 fn number(count: u64) -> String {
     format!("{count:06}")
@@ -163,78 +179,52 @@ fn stem(file: &Path) -> String {
     file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The frames in a folder, in natural order of their names.
+/// The frames in a folder, in the order of their numbers.
 fn frames_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let frames = pictures(folder).with_context(|| "the folder of the frames")?;
-    check_for_holes(folder, &frames)?;
+    let names = FrameNames::new(pictures(folder).with_context(|| "the folder of the frames")?);
+    check_for_holes(folder, &names)?;
+    let count = names.files().len();
+    let others = unread_files(folder).map(|others| format!(", and {others}")).unwrap_or_default();
     ensure!(
-        frames.len() >= 2,
-        "{}: expected two frames or more (files named *.{}), found {}",
+        count >= 2,
+        "{}: expected two frames or more (files named *.{}), found {count}{others}",
         folder.display(),
         IMAGE_EXTENSIONS.join(", *."),
-        frames.len()
     );
-    Ok(frames)
+    names.notes().for_each(|note| log::warn!("{note}"));
+    Ok(names.files().to_vec())
 }
 
-/// A missing frame would give the flow between frames that are not neighbours.
+/// A missing frame would give the flow between frames that are not neighbours, and a frame that exists twice no flow at all.
 ///
 /// # Errors
-/// Names a picture that is not a file (such as a dangling link), or a missing number.
-fn check_for_holes(folder: &Path, frames: &[PathBuf]) -> anyhow::Result<()> {
+/// Names a picture that is not a file (such as a dangling link), a missing number, or two files of one number.
+fn check_for_holes(folder: &Path, names: &FrameNames) -> anyhow::Result<()> {
     let advice = "add it, or list the frames one by one";
     for entry in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
         let path = entry.with_context(|| folder.display().to_string())?.path();
-        let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
-        let is_picture = IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension));
         let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
         ensure!(
-            !is_picture || hidden || path.is_dir() || path.is_file(),
+            !is_picture(&path) || hidden || path.is_dir() || path.is_file(),
             "{}: expected a frame, found a dangling link or no regular file; {advice}",
             path.display()
         );
     }
-    if let Some((before, after)) = hole(&frames.iter().map(|file| stem(file)).collect::<Vec<_>>()) {
+    let named =
+        |pair: [&Path; 2]| pair.map(|file| excerpt(&file.file_name().unwrap_or_default().to_string_lossy()));
+    if let Some([one, other]) = names.twice().map(named) {
+        anyhow::bail!(
+            "{}: one frame exists twice, as {one} and {other}; keep one of the two, or list the frames one by one",
+            folder.display()
+        );
+    }
+    if let Some([before, after]) = names.gap() {
         anyhow::bail!(
             "{}: a frame is missing between {} and {}; {advice}",
             folder.display(),
-            frames[before].display(),
-            frames[after].display()
+            before.display(),
+            after.display()
         );
     }
     Ok(())
-}
-
-/// Positions of the first two neighbours whose numbers differ by more than the others': `f_1`, `f_2`, `f_4`. None unless all
-/// names are the same text around a number.
-fn hole(stems: &[String]) -> Option<(usize, usize)> {
-    let parts = |stem: &String| {
-        let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
-        let start = stem[..end].trim_end_matches(|c: char| c.is_ascii_digit()).len();
-        Some((stem[..start].to_owned(), stem[start..end].parse::<u64>().ok()?, stem[end..].to_owned()))
-    };
-    let named: Vec<_> = stems.iter().map(parts).collect::<Option<_>>()?;
-    let (prefix, _, suffix) = named.first()?;
-    if named.iter().any(|(before, _, after)| before != prefix || after != suffix) {
-        return None;
-    }
-    let apart = |pair: &[(String, u64, String)]| pair[1].1.saturating_sub(pair[0].1);
-    let step = named.windows(2).map(apart).min()?;
-    let at = named.windows(2).position(|pair| apart(pair) != step)?;
-    Some((at, at + 1))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_missing_number_is_detected() {
-        let hole = |names: &[&str]| hole(&names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>());
-        assert_eq!(hole(&["f1", "f2", "f4"]), Some((1, 2)));
-        assert_eq!(hole(&["a_08_l", "a_10_l", "a_12_l"]), None, "every second frame");
-        assert_eq!(hole(&["a9", "a10", "a11"]), None);
-        assert_eq!(hole(&["onset", "apex", "f7"]), None);
-        assert_eq!(hole(&["a1", "b3", "c9"]), None);
-    }
 }

@@ -37,6 +37,7 @@ pub(crate) struct SepConvGru {
 
 /// The GRU of RAFT or of its small variant. The variant does not appear in the names of parameters.
 #[derive(Module, Debug)]
+#[expect(clippy::large_enum_variant, reason = "a network has one")]
 pub(crate) enum Gru {
     Separable(SepConvGru),
     Square(ConvGru),

@@ -10,8 +10,8 @@ use crate::features::Features;
 pub struct Request {
     /// Refinement iterations; ignored by networks without refinement.
     pub iterations: usize,
-    /// Stop refining earlier, after two iterations in a row in each of which at most 1 in 1000 coarse pixels moved by this many pixels
-    /// of the frame or more, in every pair of the batch. The result is that of a request for as many [`iterations`](Self::iterations);
+    /// Stop refining earlier, after two iterations in a row in each of which coarse pixels moved by less than this many pixels of the
+    /// frame on average, and at most 1 in 100 by four times as many or more, in every pair of the batch. The result is that of a request for as many [`iterations`](Self::iterations);
     /// a network with levels stops at each by itself. Ignored with [`every_iteration`](Self::every_iteration), and by the network
     /// `srflow`, whose two iterations by default leave none to save.
     pub still_px: Option<f32>,

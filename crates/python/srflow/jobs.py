@@ -229,7 +229,7 @@ def flow(
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
-        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         device: Device to compute on; this build has cpu.
@@ -749,7 +749,7 @@ def eval(
         skip_missing: Leave out rows whose weights or networks are missing; the table lists them.
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
-        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         device: Device to compute on; this build has cpu.
@@ -869,7 +869,7 @@ def figure(
         force: Overwrite these files.
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
-        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         device: Device to compute on; this build has cpu.
@@ -957,7 +957,7 @@ def view(
         method: Methods whose flow is shown beside a dataset's: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
-        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         device: Device to compute on; this build has cpu.
@@ -1403,7 +1403,7 @@ def mer_apex(
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
-        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         device: Device to compute on; this build has cpu.
@@ -1495,7 +1495,7 @@ def mer_strain(
         force: Overwrite existing files.
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
-        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         device: Device to compute on; this build has cpu.
@@ -1599,7 +1599,7 @@ def mer_features(
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
-        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         device: Device to compute on; this build has cpu.
@@ -1727,7 +1727,7 @@ def mer_run(
         skip_missing: Leave out rows whose weights or networks are missing; the table lists them.
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
-        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.01 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
         precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
         device: Device to compute on; this build has cpu.

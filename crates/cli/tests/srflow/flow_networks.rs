@@ -341,7 +341,7 @@ fn errors_name_the_problem() {
         ["--iters=0", "--iters=-1", "--iters=x", "--iters=auto:", "--iters=auto:0", "--iters=auto:nan"]
     {
         let found = wrong.replace("--iters=", "found `") + "`";
-        refused(&with(one, &[wrong]), 2, &["--iters", "auto:0.01", &found]);
+        refused(&with(one, &[wrong]), 2, &["--iters", "auto:0.07", &found]);
     }
     let one_pass = ["--method", "unimatch-sc2=unimatch-sc2.safetensors", "--iters", "auto"];
     refused(&one_pass, 2, &["--iters is for networks that refine their flow", "unimatch-sc2"]);

@@ -123,13 +123,16 @@ fn refinement_stops_once_the_flow_is_still() {
         let coarse = |estimate: &Estimate| numbers(estimate.coarse.clone().expect("a coarse flow"));
         let flows: Vec<Vec<f32>> =
             std::iter::once(vec![0.0; 2 * 8 * 9]).chain(fixed.iter().map(coarse)).collect();
-        // How far each iteration moves the flow at most. Of 72 coarse pixels, none may move.
+        // The limit that each iteration's change reaches: its mean, or a quarter of its largest, as of 72 coarse pixels none may move
+        // fast.
         let moves: Vec<f32> = flows
             .windows(2)
             .map(|pair| {
                 let change: Vec<f32> = pair[1].iter().zip(&pair[0]).map(|(a, b)| 8.0 * (a - b)).collect();
                 let (u, v) = change.split_at(8 * 9);
-                u.iter().zip(v).map(|(u, v)| u.hypot(*v)).fold(0.0, f32::max)
+                let lengths: Vec<f32> = u.iter().zip(v).map(|(u, v)| u.hypot(*v)).collect();
+                let mean = lengths.iter().sum::<f32>() / 72.0;
+                (lengths.into_iter().fold(0.0, f32::max) / 4.0).max(mean)
             })
             .collect();
         let limits = moves.iter().map(|px| 1.001 * px).chain([1e-9, 1e6]);

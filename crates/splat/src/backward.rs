@@ -2,6 +2,7 @@
 //! splat that it shows; then each Gaussian adds its entries, strip by strip from the top, and continues through its
 //! projection. So every sum has a fixed order, and no two threads write to one place.
 
+pub(crate) mod entries;
 mod projection;
 mod tile;
 
@@ -9,57 +10,15 @@ use rayon::prelude::*;
 use srflow_simd::{Isa, MAX_LANES, Simd, dispatch};
 
 use crate::gradients::{CameraGradient, FrameGradients, GaussianGradients, GaussianGradientsChunk};
-use crate::ordering::{Bins, Drawn};
+use crate::ordering::Drawn;
 use crate::pixel_order::PixelOrder;
 use crate::projection::TILE;
 use crate::replay::{Place, Replay};
 use crate::strip::Scene;
-use crate::{Camera, Gaussians, Options, RasterizeError, Rasterizer};
+use crate::{RasterizeError, Rasterizer, Rendering};
+use entries::{CHUNK, NO_SLOT, Partial, Strip, sort_by_chunk};
 use projection::ViewBackward;
-use tile::{TileGradients, moment};
-
-/// Gaussians in a chunk: the unit of work after the strips, whose sums stay in the cache.
-const CHUNK: usize = 1024;
-
-/// Buffers of the backward, reused between calls.
-#[derive(Debug, Default)]
-pub(crate) struct Buffers {
-    strips: Vec<Strip>,
-}
-
-/// What one strip adds to the gradients of its splats.
-#[derive(Debug, Default)]
-struct Strip {
-    tiles: Bins<u32>,
-    /// Index in `entries` of each splat of the strip's list; [`NO_SLOT`] if it has none.
-    slots: Vec<u32>,
-    entries: Vec<Partial>,
-    /// `entries`, sorted by chunk of Gaussians.
-    sorted: Vec<Partial>,
-    /// Chunk `c` is `sorted[starts[c]..starts[c + 1]]`.
-    starts: Vec<usize>,
-}
-
-const NO_SLOT: u32 = u32::MAX;
-
-/// Sums over pixels of one splat, the size of a cache line.
-#[derive(Debug, Clone, Copy)]
-#[repr(C, align(64))]
-pub(crate) struct Partial {
-    splat: u32,
-    /// [`moment`]s, then the gradients of the features.
-    sums: [f32; MAX_LANES - 1],
-}
-
-/// A rendering that was just made, with all that its backward needs.
-#[derive(Debug)]
-pub struct Rendering<'a> {
-    pub(crate) rasterizer: &'a mut Rasterizer,
-    pub(crate) gaussians: &'a Gaussians,
-    pub(crate) camera: Camera,
-    pub(crate) next: Option<(&'a Gaussians, Camera)>,
-    pub(crate) options: Options,
-}
+use tile::TileGradients;
 
 impl Rendering<'_> {
     /// Whether each Gaussian can touch a pixel. There are [`Statistics::visible`](crate::Statistics::visible) such ones.
@@ -241,24 +200,4 @@ fn fill<const CHANNELS: usize>(
         });
     }
     sort_by_chunk(entries, chunks, sorted, starts);
-}
-
-/// Counting sort by chunk of Gaussians.
-fn sort_by_chunk(entries: &[Partial], chunks: usize, sorted: &mut Vec<Partial>, starts: &mut Vec<usize>) {
-    // During the sort, `starts[c + 1]` is the place of the next entry of chunk `c`.
-    starts.clear();
-    starts.resize(chunks + 2, 0);
-    for entry in entries {
-        starts[entry.splat as usize / CHUNK + 2] += 1;
-    }
-    for chunk in 2..starts.len() {
-        starts[chunk] += starts[chunk - 1];
-    }
-    sorted.clear();
-    sorted.resize(entries.len(), Partial { splat: 0, sums: [0.0; MAX_LANES - 1] });
-    for entry in entries {
-        let start = &mut starts[entry.splat as usize / CHUNK + 1];
-        sorted[*start] = *entry;
-        *start += 1;
-    }
 }

@@ -2,11 +2,8 @@
 
 use srflow_simd::{Simd, exp2};
 
-use crate::projection::{Splat, TILE};
+use crate::projection::{LOG2_ALPHA_MIN, Splat, TILE};
 use crate::reference::{ALPHA_MAX, TRANSMITTANCE_MIN};
-
-/// `log2(1/255)`.
-pub(crate) const LOG2_ALPHA_MIN: f32 = -7.994_353_3;
 
 /// Sixteen numbers, aligned for whole-vector access.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,8 +2,6 @@ use std::ops::Range;
 
 use srflow_core::{FlowField, Image, Mask, Plane};
 
-use crate::strip::to_byte;
-
 /// The outputs to write. Others stay empty (size 0x0) and cost nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Outputs {
@@ -207,4 +205,10 @@ fn fill<T: Copy>(output: &mut [T], span: Range<usize>, value: T) {
     if let Some(pixels) = output.get_mut(span) {
         pixels.fill(value);
     }
+}
+
+/// 0..1 to 0..=255, clamped, rounded.
+#[inline(always)]
+pub(crate) fn to_byte(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }

@@ -18,6 +18,7 @@ pub mod gltf;
 #[cfg(feature = "cube")]
 mod gpu;
 mod gradients;
+mod options;
 mod ordering;
 mod pixel_order;
 mod projection;
@@ -27,7 +28,6 @@ mod replay;
 mod sh;
 mod strip;
 
-pub use backward::Rendering;
 pub use camera::{
     Camera, MAX_PIXELS, MAX_SIDE, NEAR, NamedCamera, PixelConvention, Surroundings, read_cameras,
 };
@@ -40,7 +40,8 @@ pub use files::{
 pub use frame::{Frame, Outputs, Statistics};
 pub use gaussians::Gaussians;
 pub use gradients::{CameraGradient, FrameGradients, GaussianGradients};
-pub use rasterizer::{Next, Options, Rasterizer, Sorting};
+pub use options::{Next, Options, Sorting};
+pub use rasterizer::{Rasterizer, Rendering};
 pub use sh::SH_0;
 
 #[cfg(test)]

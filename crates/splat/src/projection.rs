@@ -3,9 +3,11 @@
 use glam::{DMat3, DMat4, DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::blending::LOG2_ALPHA_MIN;
 use crate::reference::{ALPHA_MIN, LOW_PASS};
 use crate::{Camera, Gaussians, NEAR, Next, Options, PixelConvention, sh};
+
+/// `log2(1/255)`.
+pub(crate) const LOG2_ALPHA_MIN: f32 = -7.994_353_3;
 
 /// Sides of a tile in pixels.
 pub(crate) const TILE: usize = 16;

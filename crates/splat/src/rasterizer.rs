@@ -1,67 +1,15 @@
 use srflow_core::Spares;
 use srflow_simd::{Isa, dispatch};
 
-use crate::backward::{self, Rendering};
+use crate::backward::entries::Buffers;
 use crate::frame::FrameRows;
+use crate::options::{Next, Options, Sorting, validate};
 use crate::ordering::{Bins, DepthOrder, Drawn};
 use crate::pixel_order::{Peaks, PixelOrder};
 use crate::projection::{Placement, Splat, TILE, project};
 use crate::replay::Replay;
 use crate::strip::{Scene, render};
-use crate::{Camera, Frame, Gaussians, Outputs, PixelConvention, RasterizeError, Statistics};
-
-/// Rendering options.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
-    /// Background colour, 0..1.
-    pub background: [f32; 3],
-    /// Pixel convention of the flow.
-    pub convention: PixelConvention,
-    /// The order in which the Gaussians at a pixel are blended.
-    pub sorting: Sorting,
-    pub outputs: Outputs,
-}
-
-/// The order in which the Gaussians at a pixel are blended, front to back. Gradients take it as given.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Sorting {
-    /// By the depth of their centres: one order for the whole image, as in the 3DGS reference. Where the centres of two
-    /// Gaussians change places, all pixels that see both change at once ("popping").
-    #[default]
-    Global,
-    /// At each pixel by the depth at which the Gaussian is densest along the ray through the pixel's centre, equal depths in the
-    /// order of [`Sorting::Global`]. Nothing pops: where two Gaussians intersect, the edge between them moves. This is the full
-    /// per-pixel sort of StopThePop (Radl et al. 2024). About five times slower for the small Gaussians of an avatar, more where
-    /// many large ones overlap.
-    ///
-    /// The density is that of the Gaussian after a low-pass filter as wide in space as that of the image is at its centre: `0.3
-    /// z^2 / (fx fy)` is added to each variance. So the depth is well defined for flat Gaussians that are seen from their edge
-    /// too, where the ray and the disc's plane meet anywhere. (StopThePop limits standard deviations to at least 0.001 world units,
-    /// which in a world of metres is more than the size of a head's Gaussians. It also drops a Gaussian that is densest
-    /// behind the camera; here it is in front of the others.)
-    PerPixel,
-}
-
-impl Default for Options {
-    /// Black background, [`PixelConvention::Splat`], [`Sorting::Global`], every output.
-    fn default() -> Self {
-        Self {
-            background: [0.0; 3],
-            convention: PixelConvention::Splat,
-            sorting: Sorting::Global,
-            outputs: Outputs::ALL,
-        }
-    }
-}
-
-/// The target of the flow: the same Gaussians after their motion, and the camera that sees them.
-#[derive(Debug, Clone, Copy)]
-pub struct Next<'a> {
-    /// The moved Gaussians, in the order of the first set. Only their positions are used.
-    pub gaussians: &'a Gaussians,
-    /// The next camera, of the same image size.
-    pub camera: &'a Camera,
-}
+use crate::{Camera, Frame, Gaussians, Outputs, RasterizeError, Statistics};
 
 /// The Gaussian and Flow Rasterizer. Its buffers are reused between renderings; the result does not depend on earlier
 /// renderings, the number of threads, or the processor.
@@ -77,7 +25,7 @@ pub struct Rasterizer {
     tiles: Vec<Bins<u32>>,
     /// One for each thread that has sorted per pixel.
     sorters: Spares<(PixelOrder, Replay)>,
-    pub(crate) backward: backward::Buffers,
+    pub(crate) backward: Buffers,
 }
 
 impl Rasterizer {
@@ -142,6 +90,16 @@ impl Rasterizer {
     }
 }
 
+/// A rendering that was just made, with all that its backward needs.
+#[derive(Debug)]
+pub struct Rendering<'a> {
+    pub(crate) rasterizer: &'a mut Rasterizer,
+    pub(crate) gaussians: &'a Gaussians,
+    pub(crate) camera: Camera,
+    pub(crate) next: Option<(&'a Gaussians, Camera)>,
+    pub(crate) options: Options,
+}
+
 /// The blending stage of one rendering.
 struct Pass<'a> {
     isa: Isa,
@@ -197,24 +155,4 @@ dispatch! {
         sorter: &mut (PixelOrder, Replay),
         rows: &mut FrameRows<'_>,
     ) -> u64
-}
-
-/// Checks the preconditions of every implementation.
-pub(crate) fn validate(
-    gaussians: &Gaussians,
-    camera: &Camera,
-    next: Option<Next<'_>>,
-) -> Result<(), RasterizeError> {
-    gaussians.validate("the Gaussians")?;
-    camera.validate()?;
-    let Some(next) = next else { return Ok(()) };
-    if next.gaussians.len() != gaussians.len() {
-        return Err(RasterizeError::CountMismatch { first: gaussians.len(), next: next.gaussians.len() });
-    }
-    next.camera.validate()?;
-    let (first, next) = ((camera.width, camera.height), (next.camera.width, next.camera.height));
-    if first != next {
-        return Err(RasterizeError::SizeMismatch { first, next });
-    }
-    Ok(())
 }

@@ -135,7 +135,7 @@ impl Scene {
         next: Option<Next<'_>>,
         options: &Options,
     ) -> Result<Self, RasterizeError> {
-        crate::rasterizer::validate(gaussians, camera, next)?;
+        crate::options::validate(gaussians, camera, next)?;
         let positions = |set: &Gaussians| set.positions.iter().map(|position| position.as_dvec3()).collect();
         Ok(Self {
             positions: positions(gaussians),

@@ -3,7 +3,7 @@
 use srflow_simd::Simd;
 
 use crate::blending::{Tile, TileRow};
-use crate::frame::FrameRows;
+use crate::frame::{FrameRows, to_byte};
 use crate::ordering::{Bins, Drawn};
 use crate::pixel_order::{Peaks, PixelOrder};
 use crate::projection::{Splat, TILE};
@@ -145,10 +145,4 @@ fn put<T>(out: &mut [T], value: impl Fn(usize) -> T) {
             }
         }
     }
-}
-
-/// 0..1 to 0..=255, clamped, rounded.
-#[inline(always)]
-pub(crate) fn to_byte(value: f32) -> u8 {
-    (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }

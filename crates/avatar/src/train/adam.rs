@@ -68,13 +68,13 @@ pub struct GaussianAdam {
 
 /// Running means of gradients and of their squares.
 #[derive(Debug, Clone)]
-struct Moments {
-    first: Vec<f32>,
-    second: Vec<f32>,
+pub(super) struct Moments {
+    pub(super) first: Vec<f32>,
+    pub(super) second: Vec<f32>,
 }
 
 impl Moments {
-    fn new(len: usize) -> Self {
+    pub(super) fn new(len: usize) -> Self {
         Self { first: vec![0.0; len], second: vec![0.0; len] }
     }
 
@@ -109,9 +109,14 @@ fn widened<T: Copy + Default>(list: &[T], each: usize, wanted: usize) -> Vec<T> 
     wide
 }
 
-const BETA_1: f64 = 0.9;
-const BETA_2: f64 = 0.999;
+pub(super) const BETA_1: f64 = 0.9;
+pub(super) const BETA_2: f64 = 0.999;
 const EPSILON: f32 = 1e-15;
+
+/// By what a running mean of this decay rate, which starts at zero, is multiplied after so many steps.
+pub(super) fn unbiased(beta: f64, steps: i32) -> f64 {
+    1.0 / (1.0 - libm::pow(beta, f64::from(steps)))
+}
 
 /// Name of the count of steps in checkpoints.
 const STEPS: &str = "steps";
@@ -148,7 +153,7 @@ impl GaussianAdam {
     ) {
         self.steps += 1;
         let constants = Constants {
-            step: (1.0 / (1.0 - libm::pow(BETA_1, f64::from(self.steps)))) as f32,
+            step: unbiased(BETA_1, self.steps) as f32,
             root: (1.0 / libm::sqrt(1.0 - libm::pow(BETA_2, f64::from(self.steps)))) as f32,
         };
         let isa = self.isa;

@@ -4,6 +4,7 @@ use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use srflow_files::FileError;
 
+use super::adam::{BETA_1, BETA_2, Moments, unbiased};
 use super::checkpoint::{Checkpoint, Lists};
 use srflow_head::{HeadGradient, HeadModel, JointRole, PoseParameters, rotation_of_axis_angle};
 
@@ -37,14 +38,10 @@ pub struct PoseAdam {
 #[derive(Debug, Clone)]
 struct Timestep {
     steps: i32,
-    /// Running means of gradients, in the order of [`values`].
-    first: Vec<f32>,
-    /// Running means of their squares.
-    second: Vec<f32>,
+    /// In the order of [`values`].
+    moments: Moments,
 }
 
-const BETA_1: f64 = 0.9;
-const BETA_2: f64 = 0.999;
 const EPSILON: f64 = 1e-15;
 
 // Names of lists in checkpoints.
@@ -56,9 +53,9 @@ const STEPS: &str = "pose_steps";
 impl PoseAdam {
     /// The state before the first step, for these poses.
     pub fn new(poses: &[PoseParameters], rates: PoseRates) -> Self {
-        let timestep = |pose: &PoseParameters| {
-            let zeros = vec![0.0; values(&mut pose.clone(), &rates).len()];
-            Timestep { steps: 0, first: zeros.clone(), second: zeros }
+        let timestep = |pose: &PoseParameters| Timestep {
+            steps: 0,
+            moments: Moments::new(values(&mut pose.clone(), &rates).len()),
         };
         Self { rates, timesteps: poses.iter().map(timestep).collect() }
     }
@@ -73,8 +70,8 @@ impl PoseAdam {
         let steps = self.timesteps.iter().map(|timestep| timestep.steps as f32).collect();
         vec![
             (POSES, numbers),
-            (MEANS, all(|timestep| &timestep.first)),
-            (SQUARES, all(|timestep| &timestep.second)),
+            (MEANS, all(|timestep| &timestep.moments.first)),
+            (SQUARES, all(|timestep| &timestep.moments.second)),
             (STEPS, steps),
         ]
     }
@@ -88,17 +85,17 @@ impl PoseAdam {
         poses: &mut [PoseParameters],
         checkpoint: &mut Checkpoint,
     ) -> Result<(), FileError> {
-        let len = Some(self.timesteps.iter().map(|timestep| timestep.first.len()).sum());
+        let len = Some(self.timesteps.iter().map(|timestep| timestep.moments.first.len()).sum());
         let (numbers, means) = (checkpoint.list(POSES, len)?, checkpoint.list(MEANS, len)?);
         let squares = checkpoint.list(SQUARES, len)?;
         let steps = checkpoint.counts(STEPS, Some(poses.len()))?;
         let mut start = 0;
         for ((timestep, pose), steps) in self.timesteps.iter_mut().zip(poses).zip(steps) {
-            let range = start..start + timestep.first.len();
+            let range = start..start + timestep.moments.first.len();
             start = range.end;
             timestep.steps = steps as i32;
-            timestep.first.copy_from_slice(&means[range.clone()]);
-            timestep.second.copy_from_slice(&squares[range.clone()]);
+            timestep.moments.first.copy_from_slice(&means[range.clone()]);
+            timestep.moments.second.copy_from_slice(&squares[range.clone()]);
             for ((value, _), number) in values(pose, &self.rates).into_iter().zip(&numbers[range]) {
                 *value = *number;
             }
@@ -129,8 +126,11 @@ impl PoseAdam {
         gradient: &HeadGradient,
     ) {
         for (number, (state, pose)) in self.timesteps.iter_mut().zip(poses).enumerate() {
-            let slopes =
-                if number == timestep { slopes(model, pose, gradient) } else { vec![0.0; state.first.len()] };
+            let slopes = if number == timestep {
+                slopes(model, pose, gradient)
+            } else {
+                vec![0.0; state.moments.first.len()]
+            };
             state.step(&self.rates, pose, &slopes);
         }
     }
@@ -139,9 +139,8 @@ impl PoseAdam {
 impl Timestep {
     fn step(&mut self, rates: &PoseRates, pose: &mut PoseParameters, slopes: &[f64]) {
         self.steps += 1;
-        let mean = 1.0 / (1.0 - libm::pow(BETA_1, f64::from(self.steps)));
-        let square = 1.0 / (1.0 - libm::pow(BETA_2, f64::from(self.steps)));
-        let moments = self.first.iter_mut().zip(&mut self.second);
+        let [mean, square] = [BETA_1, BETA_2].map(|beta| unbiased(beta, self.steps));
+        let moments = self.moments.first.iter_mut().zip(&mut self.moments.second);
         for (((value, rate), (first, second)), slope) in
             values(pose, rates).into_iter().zip(moments).zip(slopes)
         {

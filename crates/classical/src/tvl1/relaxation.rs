@@ -7,8 +7,8 @@
 
 use rayon::prelude::*;
 
-use super::TvL1Parameters;
 use super::median;
+use super::parameters::TvL1Parameters;
 use super::state::{Layout, Linearized, MARGIN, State, dual_line, value_line};
 use srflow_simd::multiversioned;
 

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec2, DVec3, DVec4};
 
-use super::moment;
+use super::entries::moment;
 use crate::gradients::{CameraGradient, GaussianGradientsChunk};
 use crate::projection::{Motion, Splat, View};
 use crate::reference::LOW_PASS;
@@ -28,7 +28,7 @@ impl<'a> ViewBackward<'a> {
         Self { view: View::new(camera, gaussians.antialiased), next }
     }
 
-    /// Writes the gradients of Gaussian number `index`, given those of its splat ([`Partial::sums`](super::Partial)), to
+    /// Writes the gradients of Gaussian number `index`, given those of its splat ([`Partial::sums`](super::entries::Partial)), to
     /// entry `at` of `out`; adds those of this and the next camera to `cameras`.
     #[expect(clippy::too_many_arguments, reason = "an entry of lists of arguments")]
     pub(super) fn gaussian(

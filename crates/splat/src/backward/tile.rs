@@ -2,7 +2,7 @@
 
 use srflow_simd::{MAX_LANES, Simd};
 
-use super::Partial;
+use super::entries::moment;
 use crate::FrameGradients;
 use crate::blending::{MAX_VECTORS, Row, Stripes};
 use crate::ordering::Drawn;
@@ -10,29 +10,6 @@ use crate::pixel_order::PixelOrder;
 use crate::projection::{Splat, TILE};
 use crate::reference::ALPHA_MAX;
 use crate::replay::{Place, Replay};
-
-/// Sums over pixels that a splat's shape and opacity need: the first entries of [`Partial::sums`]. With `v` the gradient of the
-/// natural logarithm of alpha, and `e1` and `e2` as for [`Splat`].
-pub(crate) mod moment {
-    /// `v`.
-    pub(crate) const V: usize = 0;
-    /// `v e1`.
-    pub(crate) const E1: usize = 1;
-    /// `v e2`.
-    pub(crate) const E2: usize = 2;
-    /// `v e1^2`.
-    pub(crate) const E11: usize = 3;
-    /// `v e1 e2`.
-    pub(crate) const E12: usize = 4;
-    /// `v e2^2`.
-    pub(crate) const E22: usize = 5;
-    /// `-|v e1|`.
-    pub(crate) const ABSOLUTE_X: usize = 6;
-    /// `-|v (xy e1 + yy e2)|`.
-    pub(crate) const ABSOLUTE_Y: usize = 7;
-    /// Number of these sums; the gradients of the features follow.
-    pub(crate) const COUNT: usize = 8;
-}
 
 impl Replay {
     /// The gradients of the splats: passes `add` the position of each in the strip's list, and its sums over the pixels of the
@@ -244,14 +221,5 @@ impl<const CHANNELS: usize> TileGradients<CHANNELS> {
             }
         }
         out
-    }
-}
-
-impl Partial {
-    #[inline(always)]
-    pub(crate) fn add(&mut self, sums: &[f32; MAX_LANES]) {
-        for (total, sum) in self.sums.iter_mut().zip(sums) {
-            *total += sum;
-        }
     }
 }

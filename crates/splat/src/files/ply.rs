@@ -18,7 +18,7 @@ use srflow_files::{FileError, FileKind, FileProblem, open_file, write_atomically
 
 use super::{check, problem, room_for, unit_rotation};
 use crate::{Gaussians, sh};
-use header::{Encoding, Header, Property};
+use header::{Encoding, Header, Property, reading};
 
 /// Raw values that are read back as exactly 0 and 1 (scale or opacity 0, opacity 1).
 const RAW_ZERO: f64 = -110.0;
@@ -90,10 +90,6 @@ fn write(path: &Path, gaussians: &Gaussians, triangles: Option<&[u32]>) -> Resul
         }
     }
     write_atomically(path, |writer| encode(gaussians, triangles, writer))
-}
-
-fn reading(error: io::Error) -> FileProblem {
-    FileProblem::Io { doing: "reading", error }
 }
 
 /// Positions of a Gaussian's parameters among the values of a vertex.

@@ -7,7 +7,7 @@ use cubecl::server::ServerError;
 use super::buffer::Buffer;
 use super::projection::SPLAT;
 use super::tiles::Area;
-use crate::blending::LOG2_ALPHA_MIN;
+use crate::projection::LOG2_ALPHA_MIN;
 use crate::projection::TILE;
 use crate::reference::{ALPHA_MAX, TRANSMITTANCE_MIN};
 use crate::{Frame, Outputs};

@@ -17,8 +17,8 @@ use cubecl::features::TypeUsage;
 use cubecl::ir::{ElemType, FloatKind};
 use cubecl::server::ServerError;
 
+use crate::options::validate;
 use crate::projection::TILE;
-use crate::rasterizer::validate;
 use crate::{Camera, Frame, Gaussians, Next, Options, Outputs, RasterizeError, Sorting, Statistics};
 use blending::Pixels;
 use buffer::Buffer;

@@ -5,10 +5,14 @@ use std::io::{self, Read};
 use srflow_core::excerpt;
 use srflow_files::FileProblem;
 
-use super::{problem, reading};
+use crate::files::problem;
 
 /// Maximum length of a header in bytes, far above that of any file of Gaussians.
 const MAX_HEADER: usize = 1 << 16;
+
+pub(super) fn reading(error: io::Error) -> FileProblem {
+    FileProblem::Io { doing: "reading", error }
+}
 
 /// The encoding of the body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -109,6 +109,8 @@ fn the_names_of_frames_say_their_order() {
     folder("other", &[]);
     fs::write(dir.join("other/1.tif"), "").unwrap();
     refuses(&flow(dir, &["other", "-o", "new"]), 1, &["found 0, and 1 .tif file", "convert to PNG"]);
+    fs::write(dir.join("a.xyz"), "").unwrap();
+    refuses(&flow(dir, &["none", "-o", "new"]), 2, &["none: expected frames", "no such file or folder"]);
     refuses(
         &flow(dir, &["a.xyz", "-o", "new"]),
         2,

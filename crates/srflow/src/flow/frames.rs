@@ -44,11 +44,15 @@ impl Source {
         let files = match arguments {
             [folder] if folder.is_dir() => frames_of(folder)?,
             [file] if is_video(file) => return Ok(Self::Video(file.clone(), video::facts(file))),
-            [file] if !is_picture(file) => {
-                let found =
-                    if file.exists() { "one file with another ending" } else { "no such file or folder" };
+            [file] if !file.exists() => {
                 wrong_settings!(
-                    "{}: expected two frames or more (.{}), a folder of frames, or a video (.{}), found {found}",
+                    "{}: expected frames, a folder of them or a video, found no such file or folder",
+                    file.display()
+                )
+            }
+            [file] if !is_picture(file) => {
+                wrong_settings!(
+                    "{}: expected two frames or more (.{}), a folder of frames, or a video (.{}), found one file with another ending",
                     file.display(),
                     IMAGE_EXTENSIONS.join(", ."),
                     video::EXTENSIONS.join(", .")

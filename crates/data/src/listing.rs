@@ -44,7 +44,7 @@ fn without_zeros(digits: &[u8]) -> &[u8] {
     &digits[start..]
 }
 
-pub const MASKS: &[&str] = &["png", "jpg", "jpeg", "ppm", "pgm", "bmp", "npy"];
+pub const MASKS: &[&str] = &["png", "jpg", "jpeg", "jpe", "jfif", "ppm", "pgm", "pnm", "bmp", "npy"];
 
 /// The files of `dir` with one of the extensions `endings` (case-insensitive), in natural order. Hidden files are skipped.
 pub fn files(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, FileError> {
@@ -109,9 +109,8 @@ pub fn stem(path: &Path) -> String {
 /// What a folder holds in place of pictures that can be read, with advice: `41 .tif files: convert them to PNG`. `None` if it holds none
 /// or cannot be read.
 pub fn unread_files(dir: &Path) -> Option<String> {
-    const PICTURES: [&str; 17] = [
-        "tif", "tiff", "webp", "gif", "heic", "heif", "avif", "jp2", "jxl", "jfif", "jpe", "tga", "exr",
-        "hdr", "dng", "raw", "pbm",
+    const PICTURES: [&str; 14] = [
+        "tif", "tiff", "webp", "gif", "heic", "heif", "avif", "jp2", "jxl", "tga", "exr", "hdr", "dng", "raw",
     ];
     const VIDEOS: [&str; 9] = ["mp4", "avi", "mov", "mkv", "mts", "mpg", "mpeg", "wmv", "webm"];
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();

@@ -14,7 +14,7 @@ use crate::{FileError, FileKind, FileProblem, write_atomically};
 use srflow_core::{Image, Labels, Mask, Plane};
 
 /// File extensions of [`read_image`], in lower case.
-pub const IMAGE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pnm", "bmp"];
+pub const IMAGE_EXTENSIONS: [&str; 9] = ["png", "jpg", "jpeg", "jpe", "jfif", "ppm", "pgm", "pnm", "bmp"];
 
 /// Reads a PNG, JPEG, PPM/PGM or BMP file, detected by its first bytes. 16-bit channels are rounded to 8 bits, grey becomes
 /// three equal channels, alpha is dropped. The image is turned upright as its EXIF data says.

@@ -279,7 +279,7 @@ def metrics(
     Args:
         prediction: Predicted flow (.flo, KITTI .png, .pfm, .flo5, .npy, .npz).
         truth: Ground truth, in any of these formats.
-        mask: Mask: score only pixels above 127; for the regularizers, the head.
+        mask: Mask: score only pixels above 127, or of 1 in a mask of 0 and 1; for the regularizers, the head.
         regularizers: Evaluate the four regularizers on PRED.
         image: First frame of PRED.
         image_max: Value of a white pixel of FRAME1 for the gradients of MIGAR and IGVAR.

@@ -33,7 +33,7 @@ pub struct MetricsJob {
     #[arg(value_name = "GT", required_unless_present = "regularizers")]
     #[serde(default)]
     pub truth: Option<PathBuf>,
-    /// Mask: score only pixels above 127; for the regularizers, the head
+    /// Mask: score only pixels above 127, or of 1 in a mask of 0 and 1; for the regularizers, the head
     #[arg(long, value_name = "M.png")]
     #[serde(default)]
     pub mask: Option<PathBuf>,

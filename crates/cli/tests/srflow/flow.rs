@@ -72,6 +72,53 @@ fn a_folder_gives_the_flows_between_its_frames_in_the_order_of_their_numbers() {
 }
 
 #[test]
+fn the_names_of_frames_say_their_order() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    write_frames(&dir.join("given"), 0..3, SIZE);
+    let folder = |name: &str, stems: &[&str]| {
+        fs::create_dir(dir.join(name)).unwrap();
+        for (at, stem) in stems.iter().enumerate() {
+            let given = dir.join(format!("given/{}.png", at.min(2)));
+            fs::copy(given, dir.join(format!("{name}/{stem}.png"))).unwrap();
+        }
+    };
+    let flows = |name: &str| {
+        let out = format!("{name}-flow");
+        let output = flow(dir, &[name, "-o", &out]);
+        succeeds(&output);
+        for file in fs::read_dir(dir.join(&out)).unwrap() {
+            assert_one_step(&file.unwrap().path());
+        }
+        (fs::read_dir(dir.join(out)).unwrap().count(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    folder("times", &["1305031102.175304", "1305031102.211214", "1305031102.243211"]);
+    folder("signs", &["t-1", "t0", "t1"]);
+    folder("rate", &["f46_200fps", "f47_200fps", "f48_200fps"]);
+    for name in ["times", "signs", "rate"] {
+        assert_eq!(flows(name).0, 2, "{name}");
+    }
+    folder("copy", &["1", "2", "3", "2 (1)"]);
+    let (count, said) = flows("copy");
+    assert!(
+        count == 2 && said.contains("2 (1).png: left out, since its name is that of a copy of 2"),
+        "{said}"
+    );
+    folder("twice", &["1", "01", "2"]);
+    refuses(&flow(dir, &["twice", "-o", "new"]), 1, &["twice: one frame exists twice, as 01.png and 1.png"]);
+    folder("other", &[]);
+    fs::write(dir.join("other/1.tif"), "").unwrap();
+    refuses(&flow(dir, &["other", "-o", "new"]), 1, &["found 0, and 1 .tif file", "convert to PNG"]);
+    fs::write(dir.join("a.xyz"), "").unwrap();
+    refuses(&flow(dir, &["none", "-o", "new"]), 2, &["none: expected frames", "no such file or folder"]);
+    refuses(
+        &flow(dir, &["a.xyz", "-o", "new"]),
+        2,
+        &["a.xyz: expected two frames", ".mts", "another ending"],
+    );
+}
+
+#[test]
 fn impossible_requests_are_explained_and_nothing_is_written() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();

@@ -44,6 +44,17 @@ pub(crate) fn check_file_size(promised: u64, found: u64) -> Result<(), FileProbl
     ))
 }
 
+/// How many bytes of a file of `found` bytes follow the `promised` ones. Programs that read up to the end of the data accept a few.
+///
+/// # Errors
+/// When bytes are missing, or so many follow that the header may name fewer rows than there are; a row has `row` bytes.
+pub(crate) fn check_end(promised: u64, found: u64, row: u64) -> Result<u64, FileProblem> {
+    match found.checked_sub(promised) {
+        Some(more) if more < row => Ok(more),
+        _ => check_file_size(promised, found).map(|()| 0),
+    }
+}
+
 /// # Errors
 /// When `compressed` bytes of deflate cannot expand to the `promised` bytes.
 pub(crate) fn check_deflated(promised: u64, compressed: u64) -> Result<(), FileProblem> {

@@ -5,7 +5,7 @@
 use std::io::{self, Read, Write};
 
 use super::checks::{check_pixels, quote};
-use super::claim::{blank, check_file_size, check_size};
+use super::claim::{blank, check_end, check_size};
 use super::samples::{Endian, Sample, read_samples, write_f32_little_endian};
 use crate::FileProblem;
 use srflow_core::FlowField;
@@ -21,7 +21,8 @@ const UNKNOWN_BEYOND: f32 = 1e9;
 /// Value written for unknown components.
 const UNKNOWN: f32 = 1e10;
 
-pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileProblem> {
+/// Also returns how many bytes follow the flow.
+pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<(FlowField, u64), FileProblem> {
     if len < HEADER_BYTES {
         return Err(FileProblem::field("header", "12 bytes", format!("a file of {len} bytes")));
     }
@@ -36,7 +37,7 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileP
     let width = i32::from_le_bytes([w0, w1, w2, w3]);
     let height = i32::from_le_bytes([h0, h1, h2, h3]);
     let (width, height) = check_size(width.into(), height.into())?;
-    check_file_size(HEADER_BYTES + 8 * (width as u64 * height as u64), len)?;
+    let more = check_end(HEADER_BYTES + 8 * (width as u64 * height as u64), len, 8 * width as u64)?;
 
     let mut flow = FlowField::from_buffer(width, height, blank(width * height)?);
     read_samples(reader, Sample::F32(Endian::Little), flow.pixels_mut().as_flattened_mut())?;
@@ -48,7 +49,7 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileP
             *pixel = [f32::NAN; 2];
         }
     }
-    Ok(flow)
+    Ok((flow, more))
 }
 
 /// # Errors

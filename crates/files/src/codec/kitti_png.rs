@@ -35,7 +35,8 @@ impl Grid {
     }
 }
 
-pub(super) fn decode(reader: &mut dyn Read, len: u64, grid: Grid) -> Result<FlowField, FileProblem> {
+/// Also returns how many bytes follow the flow.
+pub(super) fn decode(reader: &mut dyn Read, len: u64, grid: Grid) -> Result<(FlowField, u64), FileProblem> {
     let bytes = read_all(reader, len)?;
     let outline = PngOutline::read(&bytes)?;
     if (outline.bit_depth, outline.color_type, outline.interlaced) != (16, 2, false) {
@@ -62,7 +63,7 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64, grid: Grid) -> Result<Flow
         }
     }
     rows.finish().map_err(broken)?;
-    Ok(flow)
+    Ok((flow, outline.more))
 }
 
 /// # Errors

@@ -18,7 +18,7 @@ use std::io::{self, BufRead, Cursor, Read, Seek, Write};
 use std::path::Path;
 
 use crate::{FileError, FileKind, FileProblem, write_atomically};
-use srflow_core::{FlowField, named};
+use srflow_core::{FlowField, named, printable};
 
 pub(crate) use checks::read_with;
 pub(crate) use claim::{MAX_PIXELS, check_size, read_all};
@@ -119,7 +119,7 @@ pub(crate) fn detect_and_decode(
             return Err(FileProblem::field("format", expected, found));
         }
     };
-    decode(format, reader, len)
+    decode(format, name, reader, len)
 }
 
 /// Reads a flow file in the given format.
@@ -127,7 +127,7 @@ pub(crate) fn detect_and_decode(
 /// # Errors
 /// As [`read_flow`].
 pub fn read_flow_as(path: &Path, format: FlowFormat) -> Result<FlowField, FileError> {
-    read_with(path, FileKind::Flow, |reader, len| decode(format, reader, len))
+    read_with(path, FileKind::Flow, |reader, len| decode(format, path, reader, len))
 }
 
 /// Writes a flow file in the format of its extension; see [`write_flow_as`].
@@ -200,14 +200,24 @@ fn check_writable(flow: &FlowField, format: FlowFormat) -> Result<(), FileProble
     }
 }
 
-fn decode(format: FlowFormat, reader: &mut dyn Read, len: u64) -> Result<FlowField, FileProblem> {
-    match format {
-        FlowFormat::Flo => flo::decode(reader, len),
-        FlowFormat::KittiPng => kitti_png::decode(reader, len, kitti_png::KITTI),
-        FlowFormat::Png128 => kitti_png::decode(reader, len, kitti_png::PNG128),
-        FlowFormat::Pfm => pfm::decode(reader, len),
-        FlowFormat::Flo5 => flo5::decode(reader, len),
-        FlowFormat::Npy => npy::decode_flow(reader, len),
-        FlowFormat::Npz | FlowFormat::Npz16 => npz::decode(reader, len),
+/// `name` is for a note on what follows the flow.
+fn decode(
+    format: FlowFormat,
+    name: &Path,
+    reader: &mut dyn Read,
+    len: u64,
+) -> Result<FlowField, FileProblem> {
+    let (flow, more) = match format {
+        FlowFormat::Flo => flo::decode(reader, len)?,
+        FlowFormat::KittiPng => kitti_png::decode(reader, len, kitti_png::KITTI)?,
+        FlowFormat::Png128 => kitti_png::decode(reader, len, kitti_png::PNG128)?,
+        FlowFormat::Pfm => pfm::decode(reader, len)?,
+        FlowFormat::Flo5 => (flo5::decode(reader, len)?, 0),
+        FlowFormat::Npy => (npy::decode_flow(reader, len)?, 0),
+        FlowFormat::Npz | FlowFormat::Npz16 => (npz::decode(reader, len)?, 0),
+    };
+    if more > 0 {
+        log::warn!("{}: {more} bytes after the flow are not read", printable(&name.to_string_lossy()));
     }
+    Ok(flow)
 }

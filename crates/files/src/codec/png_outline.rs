@@ -13,13 +13,15 @@ pub(crate) struct PngOutline {
     /// 0 grey, 2 RGB, 3 palette, 4 grey with alpha, 6 RGB with alpha.
     pub(crate) color_type: u8,
     pub(crate) interlaced: bool,
+    /// How many bytes follow the last chunk.
+    pub(crate) more: u64,
 }
 
 impl PngOutline {
     /// Walks the chunks of a whole file.
     ///
     /// # Errors
-    /// When the file does not end with its last chunk, or is too small for the size that it claims.
+    /// When the file ends before its last chunk, or is too small for the size that it claims.
     pub(crate) fn read(bytes: &[u8]) -> Result<Self, FileProblem> {
         let mut rest = bytes
             .strip_prefix(PNG_MAGIC)
@@ -48,8 +50,7 @@ impl PngOutline {
                 _ => {}
             }
         }
-        check_file_size((bytes.len() - rest.len()) as u64, bytes.len() as u64)?;
-        let outline = Self::parse(header)?;
+        let outline = Self { more: rest.len() as u64, ..Self::parse(header)? };
         check_deflated(outline.raw_bytes(), compressed)?;
         Ok(outline)
     }
@@ -60,7 +61,7 @@ impl PngOutline {
         };
         let side = |bytes| i64::from(u32::from_be_bytes(bytes));
         let (width, height) = check_size(side([w0, w1, w2, w3]), side([h0, h1, h2, h3]))?;
-        Ok(Self { width, height, bit_depth, color_type, interlaced: interlace != 0 })
+        Ok(Self { width, height, bit_depth, color_type, interlaced: interlace != 0, more: 0 })
     }
 
     /// Lower bound of the number of bytes after decompression.

@@ -44,10 +44,15 @@ impl Source {
         let files = match arguments {
             [folder] if folder.is_dir() => frames_of(folder)?,
             [file] if is_video(file) => return Ok(Self::Video(file.clone(), video::facts(file))),
+            [file] if !file.exists() => {
+                wrong_settings!(
+                    "{}: expected frames, a folder of them or a video, found no such file or folder",
+                    file.display()
+                )
+            }
             [file] if !is_picture(file) => {
                 wrong_settings!(
-                    "{}: expected two frames or more (.{}), a folder of frames, or a video (.{}), found one file of another \
-                     ending",
+                    "{}: expected two frames or more (.{}), a folder of frames, or a video (.{}), found one file with another ending",
                     file.display(),
                     IMAGE_EXTENSIONS.join(", ."),
                     video::EXTENSIONS.join(", .")
@@ -62,7 +67,9 @@ impl Source {
             frames => frames.to_vec(),
         };
         if let Some(video) = files.iter().find(|file| is_video(file)) {
-            wrong_settings!("{}: a video must be the only input", video.display());
+            let gif = video.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gif"));
+            let advice = if gif { "; a GIF is read as a video: convert stills to PNG" } else { "" };
+            wrong_settings!("{}: a video must be the only input{advice}", video.display());
         }
         let mut first = None;
         for file in &files {
@@ -182,9 +189,13 @@ fn stem(file: &Path) -> String {
 /// The frames in a folder, in the order of their numbers.
 fn frames_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let names = FrameNames::new(pictures(folder).with_context(|| "the folder of the frames")?);
-    check_for_holes(folder, &names)?;
+    let unread = unread_files(folder);
+    let others = unread.as_ref().map(|others| format!(", and {others}")).unwrap_or_default();
+    check_for_holes(folder, &names).map_err(|error| match &unread {
+        Some(unread) => anyhow::anyhow!("{error}; the folder also has {unread}"),
+        None => error,
+    })?;
     let count = names.files().len();
-    let others = unread_files(folder).map(|others| format!(", and {others}")).unwrap_or_default();
     ensure!(
         count >= 2,
         "{}: expected two frames or more (files named *.{}), found {count}{others}",
@@ -192,6 +203,9 @@ fn frames_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
         IMAGE_EXTENSIONS.join(", *."),
     );
     names.notes().for_each(|note| log::warn!("{note}"));
+    if let Some(unread) = unread {
+        log::warn!("{}: the folder also has {unread}", folder.display());
+    }
     Ok(names.files().to_vec())
 }
 

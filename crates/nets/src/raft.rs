@@ -34,6 +34,7 @@ pub(crate) const RAFT: Entry<Raft> = Entry {
             ptlflow!("raft", "sintel", "fb44381e"),
             ptlflow!("raft", "kitti", "3a831a4b"),
         ],
+        renamed: |name| Some(authors_name(name, true)),
         ..recurrent::FACTS
     },
     init: Raft::new,
@@ -53,6 +54,49 @@ pub(crate) struct UpdateBlock {
     pub(crate) gru: SepConvGru,
     pub(crate) flow_head: FlowHead,
     pub(crate) mask: ConvexMask,
+}
+
+/// The authors' name of a parameter of torchvision's `raft_large`, or `raft_small` whose GRU has one step; other names stay. The
+/// tensors are the same: <https://github.com/pytorch/vision/pull/5060> lists the pairs.
+pub(crate) fn authors_name(name: &str, two_steps: bool) -> String {
+    let parts: Vec<&str> = name.split('.').collect();
+    let encoder = match parts[0] {
+        "feature_encoder" => "fnet",
+        "context_encoder" => "cnet",
+        _ => "",
+    };
+    let layer = |index: &str| match index {
+        "0" => Some("conv"),
+        "1" => Some("norm"),
+        _ => None,
+    };
+    let renamed = match parts[..] {
+        [_, "convnormrelu", index, leaf] if !encoder.is_empty() => {
+            layer(index).map(|layer| format!("{encoder}.{layer}1.{leaf}"))
+        }
+        [_, "conv", leaf] if !encoder.is_empty() => Some(format!("{encoder}.conv2.{leaf}")),
+        [_, stage, block, "downsample", index, leaf] if !encoder.is_empty() => {
+            Some(format!("{encoder}.{stage}.{block}.downsample.{index}.{leaf}"))
+        }
+        [_, stage, block, convolution, index, leaf] if !encoder.is_empty() => {
+            let number = convolution.strip_prefix("convnormrelu");
+            number.zip(layer(index)).map(|(number, layer)| {
+                format!("{encoder}.{stage}.{block}.{layer}{number}.{leaf}")
+            })
+        }
+        ["update_block", "motion_encoder", convolution, "0", leaf] => {
+            let short = convolution.replacen("convcorr", "convc", 1).replacen("convflow", "convf", 1);
+            Some(format!("update_block.encoder.{short}.{leaf}"))
+        }
+        ["update_block", "recurrent_block", step, gate, leaf] => step.strip_prefix("convgru").map(|step| {
+            let step = if two_steps { step } else { "" };
+            format!("update_block.gru.{gate}{step}.{leaf}")
+        }),
+        ["mask_predictor", "convrelu", "0", leaf] => Some(format!("update_block.mask.0.{leaf}")),
+        ["mask_predictor", "conv", leaf] => Some(format!("update_block.mask.2.{leaf}")),
+        _ => None,
+    };
+    renamed.unwrap_or_else(|| name.to_owned())
 }
 
 impl Raft {

@@ -11,7 +11,7 @@ use crate::estimate::Memory;
 use crate::facts::{Facts, ptlflow};
 use crate::memory_need::MemoryNeed;
 use crate::network::Entry;
-use crate::raft::RAFT;
+use crate::raft::{RAFT, authors_name};
 use crate::recurrent::{Encoders, Recurrent, Refined, STRIDE};
 
 /// Channels of the hidden state.
@@ -28,6 +28,7 @@ pub(crate) const RAFT_SMALL: Entry<RaftSmall> = Entry {
         parameters: 990_162,
         memory: MemoryNeed { fixed: 125_000_000, per_pixel: 235, attending: 0, most_weights: 0 },
         published: &[ptlflow!("raft_small", "things", "b7d9f997")],
+        renamed: |name| Some(authors_name(name, false)),
         ..RAFT.facts
     },
     init: RaftSmall::new,

@@ -22,26 +22,41 @@ pub struct Fit {
     pub expected: usize,
     /// Number of those that are given with the right shape.
     pub matching: usize,
+    /// Number of those whose shape a tensor of the file has, under whatever name.
+    pub same_shape: usize,
+    /// Number of tensors in the file.
+    pub given: usize,
     /// `None` when the parameters are exactly those of the network.
     pub difference: Option<ParametersError>,
 }
 
 impl fmt::Display for Fit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { architecture, expected, matching, difference } = self;
+        let Self { architecture, expected, matching, same_shape, given, difference } = self;
         let name = architecture.name();
         match difference {
             None => {
                 let names = architecture.facts().names_of_weights();
                 write!(f, "they are the parameters of {names}{}", lookalikes(*architecture))
             }
-            Some(_) if *matching == 0 => {
+            Some(_) if *matching == 0 && 2 * same_shape < *expected.max(given) => {
                 f.write_str("no network of srflow has parameters with these names and shapes")
             }
-            Some(_) => write!(
+            Some(_) if *matching == 0 => write!(
                 f,
-                "the closest network is {name}: {matching} of its {expected} parameters match in name and shape"
+                "no network of srflow has parameters with these names; the shapes are closest to those of {name}: \
+                 {same_shape} of its {expected} are in the file"
             ),
+            Some(_) => {
+                let more = match same_shape - matching {
+                    0 => String::new(),
+                    more => format!(", and {more} in shape only"),
+                };
+                write!(
+                    f,
+                    "the closest network is {name}: {matching} of its {expected} parameters match in name and shape{more}"
+                )
+            }
         }
     }
 }
@@ -73,13 +88,20 @@ pub fn fits_of_file(path: &Path) -> Result<Vec<Fit>, WeightsError> {
 /// How well parameters fit each network, best first.
 pub fn fits(given: &[ParameterInfo]) -> Vec<Fit> {
     let mut fits = Architecture::ALL.map(|architecture| fit(architecture, given));
-    fits.sort_by_key(|fit| {
-        let wrong = fit.difference.as_ref().map_or(0, |difference| {
-            difference.missing.len() + difference.unknown.len() + difference.misshapen.len()
-        });
-        (fit.matching == 0, wrong)
+    fits.sort_by(|a, b| {
+        let inexact = |fit: &Fit| fit.difference.is_some();
+        inexact(a).cmp(&inexact(b)).then(b.similarity().total_cmp(&a.similarity()))
     });
     fits.into()
+}
+
+impl Fit {
+    /// The share of the network that the file has, and the share of the file that the network has, by shape and by name and shape:
+    /// a file with other names is still nearest to its network, and so is a part of a file.
+    fn similarity(&self) -> f64 {
+        let shares = 1.0 / self.expected.max(1) as f64 + 1.0 / self.given.max(1) as f64;
+        (self.same_shape + self.matching) as f64 * shares
+    }
 }
 
 fn fit(architecture: Architecture, given: &[ParameterInfo]) -> Fit {
@@ -90,7 +112,30 @@ fn fit(architecture: Architecture, given: &[ParameterInfo]) -> Fit {
     let difference = compare(&infos, &given).err();
     let wrong =
         difference.as_ref().map_or(0, |difference| difference.missing.len() + difference.misshapen.len());
-    Fit { architecture, expected: infos.len(), matching: infos.len() - wrong, difference }
+    Fit {
+        architecture,
+        expected: infos.len(),
+        matching: infos.len() - wrong,
+        same_shape: same_shapes(&infos, &given),
+        given: given.len(),
+        difference,
+    }
+}
+
+/// Number of tensors in `expected` that can be paired with tensors of the same shape in `given`.
+fn same_shapes(expected: &[ParameterInfo], given: &[ParameterInfo]) -> usize {
+    let mut left: BTreeMap<&[usize], usize> = BTreeMap::new();
+    for info in given {
+        *left.entry(&info.shape).or_default() += 1;
+    }
+    let paired = expected.iter().filter(|info| match left.get_mut(info.shape.as_slice()) {
+        Some(count) if *count > 0 => {
+            *count -= 1;
+            true
+        }
+        _ => false,
+    });
+    paired.count()
 }
 
 /// Loads a network from a checkpoint, including the [settings](Network::settings) in it. If the weights do not fit, the error

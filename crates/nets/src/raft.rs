@@ -35,6 +35,7 @@ pub(crate) const RAFT: Entry<Raft> = Entry {
             ptlflow!("raft", "sintel", "fb44381e"),
             ptlflow!("raft", "kitti", "3a831a4b"),
         ],
+        renamed: |name| Some(authors_name(name, true)),
         ..recurrent::FACTS
     },
     init: Raft::new,
@@ -64,6 +65,49 @@ pub(crate) struct UpdateBlock {
     pub(crate) mask: Option<ConvexMask>,
     /// Only in GMA.
     pub(crate) aggregator: Option<Aggregate>,
+}
+
+/// The authors' name of a parameter of torchvision's `raft_large`, or `raft_small` whose GRU has one step; other names stay. The
+/// tensors are the same: <https://github.com/pytorch/vision/pull/5060> lists the pairs.
+pub(crate) fn authors_name(name: &str, two_steps: bool) -> String {
+    let parts: Vec<&str> = name.split('.').collect();
+    let encoder = match parts[0] {
+        "feature_encoder" => "fnet",
+        "context_encoder" => "cnet",
+        _ => "",
+    };
+    let layer = |index: &str| match index {
+        "0" => Some("conv"),
+        "1" => Some("norm"),
+        _ => None,
+    };
+    let renamed = match parts[..] {
+        [_, "convnormrelu", index, leaf] if !encoder.is_empty() => {
+            layer(index).map(|layer| format!("{encoder}.{layer}1.{leaf}"))
+        }
+        [_, "conv", leaf] if !encoder.is_empty() => Some(format!("{encoder}.conv2.{leaf}")),
+        [_, stage, block, "downsample", index, leaf] if !encoder.is_empty() => {
+            Some(format!("{encoder}.{stage}.{block}.downsample.{index}.{leaf}"))
+        }
+        [_, stage, block, convolution, index, leaf] if !encoder.is_empty() => {
+            let number = convolution.strip_prefix("convnormrelu");
+            number
+                .zip(layer(index))
+                .map(|(number, layer)| format!("{encoder}.{stage}.{block}.{layer}{number}.{leaf}"))
+        }
+        ["update_block", "motion_encoder", convolution, "0", leaf] => {
+            let short = convolution.replacen("convcorr", "convc", 1).replacen("convflow", "convf", 1);
+            Some(format!("update_block.encoder.{short}.{leaf}"))
+        }
+        ["update_block", "recurrent_block", step, gate, leaf] => step.strip_prefix("convgru").map(|step| {
+            let step = if two_steps { step } else { "" };
+            format!("update_block.gru.{gate}{step}.{leaf}")
+        }),
+        ["mask_predictor", "convrelu", "0", leaf] => Some(format!("update_block.mask.0.{leaf}")),
+        ["mask_predictor", "conv", leaf] => Some(format!("update_block.mask.2.{leaf}")),
+        _ => None,
+    };
+    renamed.unwrap_or_else(|| name.to_owned())
 }
 
 impl Raft {
@@ -122,5 +166,34 @@ impl Recurrent for Raft {
             Some(mask) => convex_upsample(mask, hidden, flow),
             None => bilinear_upsample(flow, STRIDE),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_names_of_torchvision_are_those_of_the_authors() {
+        for (theirs, authors) in [
+            ("feature_encoder.convnormrelu.0.weight", "fnet.conv1.weight"),
+            ("context_encoder.convnormrelu.1.running_var", "cnet.norm1.running_var"),
+            ("context_encoder.layer2.0.convnormrelu1.0.bias", "cnet.layer2.0.conv1.bias"),
+            ("context_encoder.layer3.1.convnormrelu2.1.weight", "cnet.layer3.1.norm2.weight"),
+            ("feature_encoder.layer2.0.downsample.0.weight", "fnet.layer2.0.downsample.0.weight"),
+            ("feature_encoder.conv.bias", "fnet.conv2.bias"),
+            ("update_block.motion_encoder.convcorr1.0.weight", "update_block.encoder.convc1.weight"),
+            ("update_block.motion_encoder.convflow2.0.bias", "update_block.encoder.convf2.bias"),
+            ("update_block.motion_encoder.conv.0.weight", "update_block.encoder.conv.weight"),
+            ("update_block.recurrent_block.convgru2.convq.weight", "update_block.gru.convq2.weight"),
+            ("update_block.flow_head.conv1.weight", "update_block.flow_head.conv1.weight"),
+            ("mask_predictor.convrelu.0.weight", "update_block.mask.0.weight"),
+            ("mask_predictor.conv.bias", "update_block.mask.2.bias"),
+        ] {
+            assert_eq!(authors_name(theirs, true), authors);
+            assert_eq!(authors_name(authors, true), authors);
+        }
+        let small = "update_block.recurrent_block.convgru1.convz.bias";
+        assert_eq!(authors_name(small, false), "update_block.gru.convz.bias");
     }
 }

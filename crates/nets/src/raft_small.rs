@@ -7,7 +7,7 @@ use crate::blocks::{ConvGru, EncoderConfig, FlowHead, Gru, MotionEncoder, NormKi
 use crate::facts::{Facts, ptlflow};
 use crate::memory_need::MemoryNeed;
 use crate::network::Entry;
-use crate::raft::{RAFT, Raft, UpdateBlock};
+use crate::raft::{RAFT, Raft, UpdateBlock, authors_name};
 
 /// Channels of the hidden state.
 pub(crate) const HIDDEN: usize = 96;
@@ -23,6 +23,7 @@ pub(crate) const RAFT_SMALL: Entry<Raft> = Entry {
         parameters: 990_162,
         memory: MemoryNeed { fixed: 125_000_000, per_pixel: 235, attending: 0, most_weights: 0 },
         published: &[ptlflow!("raft_small", "things", "b7d9f997")],
+        renamed: |name| Some(authors_name(name, false)),
         ..RAFT.facts
     },
     init: raft_small,

@@ -310,11 +310,18 @@ pub struct Near {
     pub network: &'static str,
     pub matching: usize,
     pub expected: usize,
+    /// Parameters whose shape the file has, under whatever name.
+    pub same_shape: usize,
 }
 
 impl From<&Fit> for Near {
     fn from(fit: &Fit) -> Self {
-        Self { network: fit.architecture.name(), matching: fit.matching, expected: fit.expected }
+        Self {
+            network: fit.architecture.name(),
+            matching: fit.matching,
+            expected: fit.expected,
+            same_shape: fit.same_shape,
+        }
     }
 }
 

@@ -2,10 +2,26 @@
 
 use std::collections::BTreeMap;
 
-/// Dictionaries in which training scripts store the weights next to other data.
-const CONTAINERS: [&str; 4] = ["state_dict", "model_state_dict", "model", "network"];
-/// Prefixes that wrappers add to every name: `DataParallel`, trainers, `torch.compile`.
-const PREFIXES: [&str; 5] = ["module.", "network.", "model.", "net.", "_orig_mod."];
+/// Dictionaries in which training scripts store the weights next to other data, in order of preference: running averages last.
+const CONTAINERS: [&str; 12] = [
+    "state_dict",
+    "model_state_dict",
+    "model_state",
+    "model",
+    "network",
+    "net",
+    "params",
+    "ema_state_dict",
+    "state_dict_ema",
+    "model_ema",
+    "params_ema",
+    "ema",
+];
+/// Prefixes that wrappers add to every name: `DataParallel`, trainers, running averages.
+const PREFIXES: [&str; 8] =
+    ["module.", "network.", "model.", "net.", "raft.", "flow_net.", "flownet.", "ema_model."];
+/// Modules that PyTorch inserts anywhere in a name: `torch.compile`, FSDP, activation checkpoints.
+const WRAPPERS: [&str; 3] = ["_orig_mod.", "_fsdp_wrapped_module.", "_checkpoint_wrapped_module."];
 
 /// Tensors under the reference's names.
 pub(super) struct Named<T> {
@@ -19,7 +35,9 @@ pub(super) struct Named<T> {
 /// Removes containers, prefixes and duplicates.
 pub(super) fn reference_names<T>(found: BTreeMap<String, T>) -> Named<T> {
     let (container, found) = without_container(found);
+    let (wrapper, found) = without_wrappers(found);
     let (prefix, found) = without_prefix(found);
+    let prefix = wrapper + &prefix;
     Named { container, prefix, tensors: without_duplicates(found) }
 }
 
@@ -36,6 +54,22 @@ fn without_container<T>(found: BTreeMap<String, T>) -> (Option<&'static str>, BT
         }
     }
     (None, found)
+}
+
+/// Removes the names of wrapping modules, and returns those that occurred.
+fn without_wrappers<T>(found: BTreeMap<String, T>) -> (String, BTreeMap<String, T>) {
+    let mut taken = String::new();
+    for wrapper in WRAPPERS {
+        let inside = |name: &String| name.starts_with(wrapper) || name.contains(&format!(".{wrapper}"));
+        if found.keys().any(inside) {
+            taken.push_str(wrapper);
+        }
+    }
+    let plain = |name: String| {
+        let parts = name.split_inclusive('.').filter(|part| !WRAPPERS.contains(part));
+        parts.collect::<String>()
+    };
+    (taken, found.into_iter().map(|(name, tensor)| (plain(name), tensor)).collect())
 }
 
 /// Removes prefixes common to all names.
@@ -98,6 +132,23 @@ mod tests {
             named(&["model.fnet.weight", "model.cnet.weight", "ema.fnet.weight"]),
             (Some("model"), String::new(), plain())
         );
+        for (container, prefix) in [
+            (None, "raft."),
+            (Some("ema_state_dict"), "module."),
+            (Some("ema_state_dict"), "_fsdp_wrapped_module."),
+            (Some("params_ema"), "module.raft."),
+        ] {
+            let start = container.map_or(String::new(), |container| format!("{container}.")) + prefix;
+            let names = ["fnet.weight", "cnet.weight"].map(|name| format!("{start}{name}"));
+            assert_eq!(named(&[&names[0], &names[1]]), (container, prefix.to_owned(), plain()));
+        }
+    }
+
+    #[test]
+    fn wrapping_modules_are_removed_anywhere_in_a_name() {
+        let names = ["module.fnet._fsdp_wrapped_module.weight", "module.cnet._orig_mod.weight"];
+        let plain = vec!["cnet.weight".to_string(), "fnet.weight".to_string()];
+        assert_eq!(named(&names), (None, "_orig_mod._fsdp_wrapped_module.module.".into(), plain));
     }
 
     #[test]

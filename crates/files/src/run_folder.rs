@@ -103,21 +103,27 @@ pub fn read_run_log<R: DeserializeOwned>(run: &Path) -> Result<Vec<R>, FileError
 mod tests {
     use super::*;
 
+    #[derive(serde::Serialize, serde::Deserialize)]
+    struct Step {
+        step: u32,
+    }
+
     #[test]
     fn a_run_has_its_folder_alone_and_continues_its_log() {
         let parent = tempfile::tempdir().unwrap();
         let path = parent.path().join("runs/1");
         let run = RunFolder::open(&path).unwrap();
         assert!(matches!(RunFolder::open(&path), Err(RunFolderError::Lock(LockError::Held { .. }))));
-        let mut log = run.log::<u32>(|_| true).unwrap();
-        (1..=3).for_each(|step| log.append(&step).unwrap());
+        let mut log = run.log::<Step>(|_| true).unwrap();
+        (1..=3).for_each(|step| log.append(&Step { step }).unwrap());
         drop((run, log));
 
         std::fs::write(path.join(".log.jsonl.7-0.partial"), "half").unwrap();
         let run = RunFolder::open(&path).unwrap();
         assert!(!path.join(".log.jsonl.7-0.partial").exists());
-        run.log(|step: &u32| *step <= 2).unwrap();
-        assert_eq!(read_run_log::<u32>(&path).unwrap(), [1, 2]);
+        run.log(|record: &Step| record.step <= 2).unwrap();
+        let steps: Vec<u32> = read_run_log::<Step>(&path).unwrap().iter().map(|record| record.step).collect();
+        assert_eq!(steps, [1, 2]);
     }
 
     #[test]

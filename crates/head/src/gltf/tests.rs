@@ -218,7 +218,7 @@ fn wrong_references_and_claims_are_named() {
     refuses("/nodes/3/skin", json!(7), "skin: expected one of the file's");
     refuses("/skins/0/joints/1", json!(70), "joint: expected a node");
     refuses("/accessors/0/count", json!(1_u64 << 60), "no more elements than the file can hold");
-    refuses("/accessors/0/count", json!(1 << 20), "bytes inside its buffer");
+    refuses("/accessors/0/count", json!(1 << 19), "bytes inside its buffer");
     refuses("/accessors/0/type", json!("VEC2"), "elements of 3 numbers, found 4 of type VEC2");
     refuses("/accessors/0/componentType", json!(9), "componentType");
     refuses("/accessors/1/componentType", json!(5126), "bufferView");

@@ -2,6 +2,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 
 import pytest
 from playwright.sync_api import sync_playwright
@@ -48,8 +49,16 @@ def local(url):
 def show(tab, url):
     """Opens a page and waits until it is drawn."""
     tab.goto(url if "://" in str(url) else f"file://{url}")
-    tab.wait_for_function("window.page")
+    wait_until(tab, "!!window.page")
     settle(tab)
+
+
+def wait_until(tab, condition, seconds=30):
+    """Asks for a condition of JavaScript from outside: `wait_for_function` calls `eval`, which pages do not allow."""
+    end = time.monotonic() + seconds
+    while not tab.evaluate(condition):
+        assert time.monotonic() < end, f"{condition} is not true after {seconds} s"
+        tab.wait_for_timeout(20)
 
 
 def settle(tab):

@@ -5,7 +5,7 @@ import urllib.request
 
 import numpy as np
 import pytest
-from conftest import settle, show, srflow
+from conftest import settle, show, srflow, wait_until
 
 SIZE = 320
 
@@ -99,7 +99,7 @@ def test_the_timeline_shows_the_motion_of_the_command(tab, tmp_path):
         tab.keyboard.press(key)
         assert tab.evaluate(f"page.state.{state[0]}") == state[1]
     tab.keyboard.press(" ")
-    tab.wait_for_function("page.state.t > 63")
+    wait_until(tab, "page.state.t > 63")
     tab.keyboard.press(" ")
     assert tab.evaluate("page.state.playing") is False
 

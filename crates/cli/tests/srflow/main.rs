@@ -63,6 +63,13 @@ fn succeeds(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap()
 }
 
+/// Standard error of a run that succeeds and has something to note.
+#[track_caller]
+fn notes(output: &Output) -> String {
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
 /// Standard error of a run that fails with this exit code and prints no result; with `--json`, it prints the error instead.
 #[track_caller]
 fn fails(output: &Output, code: i32) -> String {

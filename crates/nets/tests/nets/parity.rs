@@ -5,12 +5,12 @@
 //! table is compared with every file of its name in `tests/golden`, which also stores the settings of the reference.
 //! `SRFLOW_TEST_DEVICE` selects the device (docs/guides/gpu.md), `SRFLOW_TEST_NETWORK` a single network.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData, s};
-use srflow_nets::{Architecture, Estimate, Facts, Frames, LaplaceMixture, Memory, Network, Request, Start};
+use srflow_nets::{Architecture, Estimate, Facts, Frames, LaplaceMixture, Memory, Network, Request, Start, load_network};
 use srflow_nn::{HostGradients, Layout, Segment, parameter_infos, with_batch_statistics};
 use srflow_ops::golden::{Golden, numbers};
 
@@ -176,6 +176,39 @@ fn flow_matches_the_reference() {
                 check_next(&golden, &network, case, iterations, estimate.memory);
             }
         }
+    }
+}
+
+/// The left upper 384x256 of a frame of Sintel, as `tools/parity/trained.py` cuts it.
+fn real_frame(path: &Path, device: &Device) -> Tensor<4> {
+    let image = srflow_files::read_image(path).expect("a frame");
+    let pixels: Vec<f32> = image.pixels().iter().flatten().map(|value| f32::from(*value) / 255.0).collect();
+    let rows = Tensor::<3>::from_data(TensorData::new(pixels, [image.height(), image.width(), 3]), device);
+    rows.slice(s![0..256, 0..384, ..]).permute([2, 0, 1]).unsqueeze()
+}
+
+/// Needs the weights of the networks' authors and frames of Sintel, which are not part of the project; golden values by
+/// `tools/parity/trained.py`.
+#[test]
+fn trained_flow_matches_the_reference() {
+    let data = Path::new("../../../shared/data");
+    if !data.is_dir() {
+        eprintln!("skipped: shared-data: no trained weights in {}", data.display());
+        return;
+    }
+    let device = DEVICE.clone();
+    let [first, second] =
+        [16, 17].map(|number| real_frame(&data.join(format!("real-frames/sintel/frame_{number:04}.png")), &device));
+    for (name, weights, iterations) in
+        [("raft-small", "raft-small-authors.pth", 32), ("unimatch-sc2", "gmflow-two-scales.pth", 1)]
+    {
+        let architecture = Architecture::from_name(name).expect(name);
+        let network = load_network(architecture, &data.join("weights").join(weights), &device).expect(name);
+        let frames = Frames { first: first.clone(), second: second.clone() };
+        let estimate = network.forward(frames, &Request::new(iterations));
+        let golden = Golden::read(format!("tests/golden/trained/{name}.safetensors"));
+        println!("{name}, trained:");
+        assert_close(&golden, "flow", thinned(estimate.last().clone()), [1e-4, 1e-2]);
     }
 }
 

@@ -105,9 +105,7 @@ fn broken_files_of_every_format_are_refused_or_read() {
     let next = AtomicUsize::new(0);
     let work = || {
         let own = tempfile::tempdir().unwrap();
-        copy_files(folder.path(), own.path());
-        fs::create_dir(own.path().join("units")).unwrap();
-        copy_files(&folder.path().join("units"), &own.path().join("units"));
+        copy_folder(folder.path(), own.path());
         let mut failures = Vec::new();
         loop {
             let case = next.fetch_add(1, Ordering::Relaxed);
@@ -132,11 +130,14 @@ fn broken_files_of_every_format_are_refused_or_read() {
     assert!(failures.is_empty(), "seed {seed}, {} of {cases}:\n{}", failures.len(), failures.join("\n"));
 }
 
-/// Without the folders.
-fn copy_files(from: &Path, to: &Path) {
+fn copy_folder(from: &Path, to: &Path) {
     for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
-        if entry.path().is_file() {
-            fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+        let to = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            fs::create_dir(&to).unwrap();
+            copy_folder(&entry.path(), &to);
+        } else {
+            fs::copy(entry.path(), to).unwrap();
         }
     }
 }

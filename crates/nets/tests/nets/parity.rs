@@ -10,7 +10,9 @@ use std::sync::LazyLock;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData, s};
-use srflow_nets::{Architecture, Estimate, Facts, Frames, LaplaceMixture, Memory, Network, Request, Start, load_network};
+use srflow_nets::{
+    Architecture, Estimate, Facts, Frames, LaplaceMixture, Memory, Network, Request, Start, load_network,
+};
 use srflow_nn::{HostGradients, Layout, Segment, parameter_infos, with_batch_statistics};
 use srflow_ops::golden::{Golden, numbers};
 
@@ -197,8 +199,8 @@ fn trained_flow_matches_the_reference() {
         return;
     }
     let device = DEVICE.clone();
-    let [first, second] =
-        [16, 17].map(|number| real_frame(&data.join(format!("real-frames/sintel/frame_{number:04}.png")), &device));
+    let [first, second] = [16, 17]
+        .map(|number| real_frame(&data.join(format!("real-frames/sintel/frame_{number:04}.png")), &device));
     for (name, weights, iterations) in
         [("raft-small", "raft-small-authors.pth", 32), ("unimatch-sc2", "gmflow-two-scales.pth", 1)]
     {

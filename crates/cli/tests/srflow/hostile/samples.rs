@@ -276,6 +276,7 @@ pub(super) fn samples(folder: &Path) -> Vec<Sample> {
     samples.extend(heads(folder));
     samples.extend(training(folder));
     samples.extend(packed(folder));
+    samples.extend(network_run(folder));
     samples
 }
 
@@ -293,6 +294,47 @@ fn packed(folder: &Path) -> Vec<Sample> {
         Sample { name: "tar", bytes: read("train-000000.tar"), file: "all.tar", arguments: tar },
         Sample { name: "index of tars", bytes: read("index.jsonl"), file: "index.jsonl", arguments: index },
     ]
+}
+
+/// The files of a finished training of a network, which reads them again; without the hashes, which refuse all that is changed.
+fn network_run(folder: &Path) -> Vec<Sample> {
+    let config = format!(
+        "[network]\narchitecture = \"raft-small\"\n[data]\ntrain = \"chairs:{}\"\ncrop = \"32x32\"\n\
+         [augmentation]\nkind = \"none\"\n[training]\nsteps = 1\nbatch = 1\n",
+        folder.join("generic").display()
+    );
+    fs::write(folder.join("network.toml"), config).unwrap();
+    let run = folder.join("network");
+    let trained = crate::srflow()
+        .args(["train", "--config"])
+        .arg(folder.join("network.toml"))
+        .arg("--out")
+        .arg(&run)
+        .output();
+    assert!(trained.unwrap().status.success());
+    const CHECKPOINT: &str = "network/checkpoints/step-00000001";
+    fs::remove_file(folder.join(CHECKPOINT).join("SHA256SUMS")).unwrap();
+    let of_run = &["train", "--resume", "DIR"];
+    let of_checkpoint = &["train", "--resume", "DIR/../.."];
+    let sample = |(name, file, arguments)| Sample {
+        name,
+        bytes: fs::read(folder.join(file)).unwrap(),
+        file,
+        arguments,
+    };
+    [
+        ("config of a network's run", "network/config.toml", of_run as &[_]),
+        ("log of a network's run", "network/log.jsonl", of_run),
+        ("state of a network's run", "network/checkpoints/step-00000001/state.json", of_checkpoint),
+        (
+            "optimizer of a network's run",
+            "network/checkpoints/step-00000001/optimizer.safetensors",
+            of_checkpoint,
+        ),
+        ("weights of a network's run", "network/checkpoints/step-00000001/model.safetensors", of_checkpoint),
+    ]
+    .map(sample)
+    .into()
 }
 
 /// The files of a finished training on one small picture, which goes on from them.

@@ -73,3 +73,7 @@ for (const version of [2, 3]) {
 
 const cli = join(dirname(require.resolve('@playcanvas/splat-transform')), '..', 'bin', 'cli.mjs');
 execFileSync(process.execPath, [cli, '-w', join(out, 'tiny.ply'), join(out, 'tiny.glb')]);
+// What the program itself reads from the compressed file, whose order is another.
+for (const [from, to] of [['tiny.ply', 'tiny.compressed.ply'], ['tiny.compressed.ply', 'tiny-decompressed.ply']]) {
+    execFileSync(process.execPath, [cli, '-w', join(out, from), join(out, to)]);
+}

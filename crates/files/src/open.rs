@@ -97,16 +97,20 @@ pub fn read_file(path: &Path, kind: FileKind) -> Result<Vec<u8>, FileError> {
     read_open(file, len, kind).map_err(|problem| problem.in_file(path))
 }
 
-/// All text of a file.
+/// All text of a file, without the mark that some editors put in front of UTF-8.
 ///
 /// # Errors
 /// As [`read_file`], and when it is not UTF-8.
 pub fn read_text(path: &Path, kind: FileKind) -> Result<String, FileError> {
-    String::from_utf8(read_file(path, kind)?).map_err(|error| {
+    let text = String::from_utf8(read_file(path, kind)?).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
         let line = error.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count() + 1;
         let found = format!("the byte {:#04x} in line {line}", error.as_bytes()[at]);
         FileProblem::field("text", "UTF-8 (save it in this encoding)", found).in_file(path)
+    })?;
+    Ok(match text.strip_prefix('\u{feff}') {
+        Some(text) => text.to_owned(),
+        None => text,
     })
 }
 

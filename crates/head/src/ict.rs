@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat4, DVec4, Quat, Vec3};
 use rayon::prelude::*;
 use serde::Deserialize;
-use srflow_files::{FileKind, parse_error_in_words, read_file};
+use srflow_files::{FileKind, parse_error_in_words, read_text};
 
 use crate::HeadError;
 use crate::arkit::{ACTION_UNITS, action_units};
@@ -101,10 +101,10 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, HeadError> {
 }
 
 fn read_indices(path: &Path) -> Result<VertexIndices, HeadError> {
-    let bytes = read_file(path, FileKind::Json).map_err(HeadError::IctFolder)?;
+    let text = read_text(path, FileKind::Json).map_err(HeadError::IctFolder)?;
     let malformed = |problem: String, line| HeadError::Malformed { path: path.to_path_buf(), line, problem };
-    let indices: VertexIndices = serde_json::from_slice(&bytes)
-        .map_err(|error| malformed(parse_error_in_words(&error), error.line()))?;
+    let indices: VertexIndices =
+        serde_json::from_str(&text).map_err(|error| malformed(parse_error_in_words(&error), error.line()))?;
     let landmarks = &indices.idx_to_landmark_verts;
     if landmarks.len() != 68 || landmarks.iter().any(|&v| v as usize >= VERTICES) {
         let problem = format!("expected 68 landmark vertices below {VERTICES}, found {}", landmarks.len());

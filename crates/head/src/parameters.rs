@@ -20,7 +20,7 @@ use std::path::Path;
 use glam::{Quat, Vec3};
 use serde_json::Value;
 use srflow_files::{
-    Array, FileError, FileKind, FileProblem, Npz, NpzArray, parse_error_in_words, read_file, write_npz,
+    Array, FileError, FileKind, FileProblem, Npz, NpzArray, parse_error_in_words, read_text, write_npz,
 };
 
 use crate::flame::FLAME_VERTICES;
@@ -311,13 +311,13 @@ impl Tables {
         if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("json")) {
             return Npz::open(path).map(Self::Npz);
         }
-        let bytes = read_file(path, FileKind::Json)?;
+        let text = read_text(path, FileKind::Json)?;
         let wrong = |found: String| {
             let problem = field("JSON", "an object of lists of numbers, equally long", found);
             FileError { path: path.to_owned(), problem }
         };
         let object: BTreeMap<String, Value> =
-            serde_json::from_slice(&bytes).map_err(|error| wrong(parse_error_in_words(&error)))?;
+            serde_json::from_str(&text).map_err(|error| wrong(parse_error_in_words(&error)))?;
         let mut arrays = BTreeMap::new();
         for (name, shape) in TIMED.into_iter().chain(STILL.map(|name| (name, ""))) {
             let Some(value) = object.get(name) else { continue };

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
-use srflow_files::{FileError, FileKind, FileProblem, parse_error_in_words, read_file};
+use srflow_files::{FileError, FileKind, FileProblem, parse_error_in_words, read_text};
 use srflow_splat::read_cameras;
 
 use super::{CANONICAL_NAME, Capture, CaptureSplit, CaptureView, problem};
@@ -96,7 +96,7 @@ fn add(
 ) -> Result<(), FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
     let Transforms { frames, timestep_indices, camera_indices } =
-        serde_json::from_slice(&read_file(path, FileKind::Json)?).map_err(|error| {
+        serde_json::from_str(&read_text(path, FileKind::Json)?).map_err(|error| {
             let expected = "frames with timestep_index, camera_index and file_path, as VHAP exports them";
             in_file(problem("transforms", expected, parse_error_in_words(&error)))
         })?;

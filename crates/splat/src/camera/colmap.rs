@@ -179,7 +179,7 @@ fn model_with(
 
 /// Lines without comments and empty ones.
 fn lines(text: &str) -> impl Iterator<Item = &str> {
-    text.lines().map(str::trim).filter(|line| !line.starts_with('#'))
+    text.trim_start_matches('\u{feff}').lines().map(str::trim).filter(|line| !line.starts_with('#'))
 }
 
 /// `CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]` on each line.
@@ -213,8 +213,8 @@ fn poses_of_text(text: &str) -> Result<Vec<Pose>, FileProblem> {
             continue;
         }
         let wrong = || problem("image", "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", line);
-        let fields: Vec<&str> = line.splitn(10, ' ').collect();
-        let [_, numbers @ .., camera, name] = &fields[..] else { return Err(wrong()) };
+        let fields = words_and_rest::<9>(line);
+        let Some(([_, numbers @ .., camera], name)) = &fields else { return Err(wrong()) };
         let numbers: Option<Vec<f64>> = numbers.iter().map(|number| number.parse().ok()).collect();
         let (Some(&[w, x, y, z, tx, ty, tz]), Ok(camera)) = (numbers.as_deref(), camera.parse()) else {
             return Err(wrong());
@@ -225,9 +225,27 @@ fn poses_of_text(text: &str) -> Result<Vec<Pose>, FileProblem> {
             camera,
             name: (*name).to_owned(),
         });
-        lines.next();
+        let points = lines.next().unwrap_or_default();
+        let words: Vec<&str> = points.split_whitespace().collect();
+        // Without this, a file of one line for each image would lose every second image.
+        if !words.len().is_multiple_of(3) || words.iter().any(|word| word.parse::<f64>().is_err()) {
+            let expected =
+                format!("the points of {name} as X Y POINT3D_ID, or an empty line: each image has two lines");
+            return Err(problem("points", expected, points));
+        }
     }
     Ok(poses)
+}
+
+/// The first words of a line, and what is behind them, such as a name with spaces.
+fn words_and_rest<const N: usize>(line: &str) -> Option<([&str; N], &str)> {
+    let mut rest = line;
+    let mut words = [""; N];
+    for word in &mut words {
+        let (first, behind) = rest.split_once(char::is_whitespace)?;
+        (*word, rest) = (first, behind.trim_start());
+    }
+    (!rest.is_empty()).then_some((words, rest))
 }
 
 /// The remaining bytes of a binary file, little-endian.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::de::IgnoredAny;
-use srflow_files::{FileError, FileKind, FileProblem, read_file};
+use srflow_files::{FileError, FileKind, FileProblem, read_text};
 
 use super::file::{NamedCamera, Source, invalid, problem};
 use super::{camera_path, colmap, gaussian_splatting, nersemble, own, transforms};
@@ -23,9 +23,10 @@ pub fn read_cameras(path: &Path, size: Option<(usize, usize)>) -> Result<Vec<Nam
     if let Some(files) = colmap::Files::of(path) {
         return colmap::cameras(&files);
     }
-    let bytes = read_file(path, FileKind::Json)?;
-    let format = format_of(&bytes).map_err(in_file)?;
-    let cameras = (format.read)(&Source { path, bytes: &bytes, size }).map_err(in_file)?;
+    let text = read_text(path, FileKind::Json)?;
+    let bytes = text.as_bytes();
+    let format = format_of(bytes).map_err(in_file)?;
+    let cameras = (format.read)(&Source { path, bytes, size }).map_err(in_file)?;
     if cameras.is_empty() {
         return Err(in_file(problem("cameras", "one camera or more", "none")));
     }

@@ -73,6 +73,47 @@ fn transforms_of_nerfstudio_with_intrinsics_at_the_root_and_in_frames() {
 }
 
 /// NeRF's files have a field of view in place of a focal length, and no size: it is that of the pictures.
+/// Each the only camera of its file, with 640x480 pixels and one more line.
+fn one_transform(of_root: serde_json::Value, of_frame: serde_json::Value) -> serde_json::Value {
+    let mut frame = json!({"file_path": "images\\1.png", "transform_matrix": matrix(4)});
+    frame.as_object_mut().unwrap().extend(of_frame.as_object().unwrap().clone());
+    let mut root = json!({"w": 640, "h": 480, "frames": [frame]});
+    root.as_object_mut().unwrap().extend(of_root.as_object().unwrap().clone());
+    root
+}
+
+#[test]
+fn a_frames_own_focal_length_or_angle_is_taken() {
+    let focal_lengths = |root, frame| {
+        let cameras = read("transforms.json", one_transform(root, frame).to_string()).unwrap();
+        assert_eq!(cameras[0].name, "images/1.png");
+        let Camera { fx, fy, .. } = cameras[0].camera;
+        [fx.round(), fy.round()]
+    };
+    let angle = 2.0 * (320.0_f64 / 700.0).atan();
+    assert_eq!(
+        focal_lengths(json!({"fl_x": 500, "fl_y": 510}), json!({"camera_angle_x": angle})),
+        [700.0, 700.0]
+    );
+    assert_eq!(focal_lengths(json!({"camera_angle_x": angle}), json!({"fl_x": 500})), [500.0, 500.0]);
+    assert_eq!(focal_lengths(json!({"fl_x": 500, "fl_y": 510}), json!({"fl_x": 600})), [600.0, 510.0]);
+}
+
+#[test]
+fn lenses_that_are_no_pinholes_are_refused_and_distortion_is_kept_for_a_note() {
+    let read = |root| read("transforms.json", one_transform(root, json!({"fl_x": 500})).to_string());
+    for flag in ["is_fisheye", "latlong", "equirectangular", "orthographic"] {
+        let error = read(json!({ flag: true })).unwrap_err();
+        assert!(error.contains(&format!("{flag}: expected a pinhole camera, found another lens")), "{error}");
+        assert!(read(json!({ flag: false })).is_ok());
+    }
+    assert!(read(json!({"camera_model": "OPENCV_FISHEYE"})).is_err());
+    let distorted = read(json!({"camera_model": "SIMPLE_RADIAL", "k1": 0.1})).unwrap();
+    assert_eq!(distorted[0].distortion.as_deref(), Some("k1 = 0.1"));
+    let marked = format!("\u{feff}{}", one_transform(json!({"fl_x": 500}), json!({})));
+    assert_eq!(self::read("transforms.json", marked).unwrap().len(), 1);
+}
+
 #[test]
 fn transforms_of_nerf_take_their_size_from_the_pictures() {
     let folder = tempfile::tempdir().unwrap();
@@ -218,6 +259,29 @@ fn models_of_colmap_as_text_and_binary() {
         let error = read_cameras(&model, None).unwrap_err().to_string();
         assert!(error.contains(reason), "{camera}: {error}");
     }
+}
+
+#[test]
+fn text_models_take_any_white_space_and_need_both_lines_of_an_image() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("cameras.txt"), "1 PINHOLE 640 480 700 710 320 240\n").unwrap();
+    let read = |images: &str| {
+        fs::write(folder.path().join("images.txt"), images).unwrap();
+        let cameras = read_cameras(folder.path(), None).map_err(|error| error.to_string())?;
+        Ok::<_, String>(cameras.into_iter().map(|camera| camera.name).collect::<Vec<_>>())
+    };
+    let line = |name: &str| format!("1 1 0 0 0 0 0 1.5 1 {name}\n");
+    let two = ["a b.png", "c.png"].map(line);
+    let names = Ok(vec!["a b.png".to_owned(), "c.png".to_owned()]);
+    assert_eq!(read(&two.join("\n")), names);
+    assert_eq!(read(&format!("\u{feff}# IMAGE_ID ...\r\n{}1.5 2 -1 3e1 4 5\r\n{}", two[0], two[1])), names);
+    assert_eq!(read(&two.join("\n").replace(' ', "\t").replace("a\tb", "a b")), names);
+    assert_eq!(read(&two.join("\n").replace(' ', "  ").replace("a  b", "a b")), names);
+    let error = read(&two.concat()).unwrap_err();
+    assert!(
+        error.contains("points: expected the points of a b.png as X Y POINT3D_ID, or an empty line"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -5,7 +5,8 @@
 //! `fl_y`), or given by the horizontal field of view (`camera_angle_x`): `f = w / (2 tan(angle / 2))`. The principal point is
 //! relative to the corner of the first pixel; ours to its centre. VHAP, whose frames have a `timestep_index` and a
 //! `camera_index`, counts `cy` from the bottom (`vhap/util/camera.py`, `convert_camera_convention`), all others from the top. Each
-//! intrinsic may be at the root, in a frame, or both; the frame's takes precedence.
+//! intrinsic may be at the root, in a frame, or both; the frame's takes precedence, whether focal length or angle. instant-ngp marks
+//! lenses that are no pinholes by flags (`nerf_loader.cu`).
 
 use std::path::Path;
 
@@ -18,7 +19,7 @@ use super::Camera;
 use super::file::{NamedCamera, Source, distortion, problem};
 
 /// Camera models that are pinholes apart from distortion; other models of nerfstudio (fisheye, equirectangular) are not.
-const PINHOLES: [&str; 4] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE"];
+const PINHOLES: [&str; 6] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL"];
 
 #[derive(Deserialize)]
 struct Transforms {
@@ -56,6 +57,11 @@ struct Intrinsics {
     k4: Option<f64>,
     p1: Option<f64>,
     p2: Option<f64>,
+    is_fisheye: Option<bool>,
+    latlong: Option<bool>,
+    equirectangular: Option<bool>,
+    orthographic: Option<bool>,
+    ftheta_p0: Option<f64>,
 }
 
 impl Intrinsics {
@@ -64,6 +70,32 @@ impl Intrinsics {
         let Self { k1, k2, k3, k4, p1, p2, .. } = *self;
         [("k1", k1), ("k2", k2), ("k3", k3), ("k4", k4), ("p1", p1), ("p2", p2)]
     }
+
+    /// The flag of a lens that is no pinhole.
+    fn other_lens(&self) -> Option<&'static str> {
+        let flags = [
+            ("is_fisheye", self.is_fisheye),
+            ("latlong", self.latlong),
+            ("equirectangular", self.equirectangular),
+            ("orthographic", self.orthographic),
+            ("ftheta_p0", self.ftheta_p0.map(|_| true)),
+        ];
+        flags.into_iter().find_map(|(name, set)| set.unwrap_or(false).then_some(name))
+    }
+
+    /// Focal length along the width, in pixels.
+    fn horizontal(&self, width: f64) -> Option<f64> {
+        self.fl_x.or_else(|| Some(of_angle(width, self.camera_angle_x?)))
+    }
+
+    fn vertical(&self, height: f64) -> Option<f64> {
+        self.fl_y.or_else(|| Some(of_angle(height, self.camera_angle_y?)))
+    }
+}
+
+/// Focal length of an angle of view in radians.
+fn of_angle(side: f64, angle: f64) -> f64 {
+    side / (2.0 * (angle / 2.0).tan())
 }
 
 pub(super) fn cameras(source: &Source) -> Result<Vec<NamedCamera>, FileProblem> {
@@ -72,13 +104,18 @@ pub(super) fn cameras(source: &Source) -> Result<Vec<NamedCamera>, FileProblem> 
 }
 
 fn camera(frame: Frame, shared: &Intrinsics, source: &Source) -> Result<NamedCamera, FileProblem> {
-    let Frame { file_path: name, transform_matrix, timestep_index, camera_index, own } = frame;
+    let Frame { file_path, transform_matrix, timestep_index, camera_index, own } = frame;
+    // As Windows writes it.
+    let name = file_path.replace('\\', "/");
     let of_vhap = timestep_index.is_some() && camera_index.is_some();
     if let Some(model) = own.camera_model.as_ref().or(shared.camera_model.as_ref())
         && !PINHOLES.contains(&model.as_str())
     {
         let expected = format!("a pinhole camera ({})", PINHOLES.join(", "));
         return Err(problem("camera_model", expected, format!("`{model}` for `{name}`")));
+    }
+    if let Some(flag) = own.other_lens().or(shared.other_lens()) {
+        return Err(problem(flag, "a pinhole camera", format!("another lens for `{name}`")));
     }
     let given = |value: fn(&Intrinsics) -> Option<f64>| value(&own).or(value(shared));
     let size = match (given(|i| i.w), given(|i| i.h)) {
@@ -89,11 +126,13 @@ fn camera(frame: Frame, shared: &Intrinsics, source: &Source) -> Result<NamedCam
         },
     };
     let (width, height) = (size.0 as f64, size.1 as f64);
-    let of_angle = |side: f64, angle: f64| side / (2.0 * (angle / 2.0).tan());
-    let fx = given(|i| i.fl_x).or_else(|| Some(of_angle(width, given(|i| i.camera_angle_x)?))).ok_or_else(
-        || problem("fl_x", "a focal length, or camera_angle_x", format!("neither for `{name}`")),
-    )?;
-    let fy = given(|i| i.fl_y).or_else(|| Some(of_angle(height, given(|i| i.camera_angle_y)?))).unwrap_or(fx);
+    let fx = own.horizontal(width).or(shared.horizontal(width));
+    let fx = fx.ok_or_else(|| {
+        problem("fl_x", "a focal length, or camera_angle_x", format!("neither for `{name}`"))
+    })?;
+    // An angle alone means square pixels.
+    let square = (own.fl_x.is_none() && own.camera_angle_x.is_some()).then_some(fx);
+    let fy = own.vertical(height).or(square).or(shared.vertical(height)).unwrap_or(fx);
     let (rotation, position) = world_from_opengl(&transform_matrix, &name)?;
     let mut camera = Camera::centred(size, [fx, fy]).placed(rotation, position);
     camera.cx = given(|i| i.cx).map_or(camera.cx, |cx| cx - 0.5);

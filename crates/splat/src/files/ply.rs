@@ -6,19 +6,20 @@
 //! channel (all of red, then green, then blue). GaussianAvatars adds `binding_0`, the number of the triangle in whose coordinates
 //! the Gaussian is.
 
+mod compressed;
 mod header;
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
-use glam::Vec3;
-use srflow_core::excerpts;
+use glam::{Quat, Vec3};
+use srflow_core::{excerpt, excerpts};
 use srflow_files::{FileError, FileKind, FileProblem, open_file, write_atomically};
 
 use super::{check, problem, room_for, unit_rotation};
 use crate::{Gaussians, sh};
-use header::{Encoding, Header, Property, reading};
+use header::{Body, Element, Header};
 
 /// Raw values that are read back as exactly 0 and 1 (scale or opacity 0, opacity 1).
 const RAW_ZERO: f64 = -110.0;
@@ -32,12 +33,14 @@ const FULL_DEGREE: usize = 3;
 
 /// Reads 3D Gaussians; the spherical-harmonics degree follows from the number of `f_rest` properties (0, 9, 24 or 45).
 /// Properties may have any order and type, and other properties (colours, normals) are ignored; binary files of either byte
-/// order and ASCII files are read. A comment `SplatRenderMode: mip`, as Brush writes it, means antialiased ones.
+/// order and ASCII files are read, and compressed ones of SuperSplat. A comment `SplatRenderMode: mip`, as Brush writes it, means
+/// antialiased ones. An infinite opacity is 1 or 0, a scale of minus infinity 0. Gaussians with other numbers that are not finite keep
+/// their place, so that those of two files correspond, but are invisible, and their number is noted.
 ///
 /// # Errors
 /// When the file cannot be read, is not a PLY of 3D Gaussians, contains Gaussians bound to a mesh (`binding_0` of
 /// GaussianAvatars: they are in the coordinates of their triangles), is shorter or longer than its header claims, or contains
-/// a value that is not finite, a scale too large for `f32`, or a quaternion of length zero; the error names the vertex.
+/// a scale too large for `f32`, or a quaternion of length zero; the error names the vertex.
 pub fn read_ply(path: &Path) -> Result<Gaussians, FileError> {
     Ok(read(path, false)?.0)
 }
@@ -54,7 +57,25 @@ pub fn read_bound_ply(path: &Path) -> Result<(Gaussians, Vec<u32>), FileError> {
 fn read(path: &Path, bound: bool) -> Result<(Gaussians, Vec<u32>), FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
     let (file, len) = open_file(path, FileKind::Splats)?;
-    decode(&mut BufReader::with_capacity(1 << 18, file), len, bound).map_err(in_file)
+    let read = decode(&mut BufReader::with_capacity(1 << 18, file), len, bound).map_err(in_file)?;
+    if read.invisible > 0 {
+        let all = read.gaussians.len();
+        log::warn!(
+            "{}: {} of {all} Gaussians hold no numbers and are invisible",
+            path.display(),
+            read.invisible
+        );
+    }
+    Ok((read.gaussians, read.triangles))
+}
+
+/// The contents of a file.
+#[derive(Debug, Default)]
+struct Decoded {
+    gaussians: Gaussians,
+    triangles: Vec<u32>,
+    /// Gaussians with numbers that are not finite.
+    invisible: usize,
 }
 
 /// Writes 3D Gaussians, binary little-endian in the reference's order, whole or not at all
@@ -107,21 +128,29 @@ struct Layout {
 
 impl Layout {
     /// The layout of Gaussians in the world, or of `bound` ones.
-    fn new(properties: &[Property], bound: bool) -> Result<Self, FileProblem> {
+    fn new(vertex: &Element, bound: bool) -> Result<Self, FileProblem> {
+        if let Some(list) = vertex.properties.iter().find(|property| property.length.is_some()) {
+            return Err(problem(
+                "vertex properties",
+                "single numbers",
+                format!("the list `{}`", excerpt(&list.name)),
+            ));
+        }
+        let names: Vec<&str> = vertex.properties.iter().map(|property| property.name.as_str()).collect();
+        Self::of_names(&names, bound)
+    }
+
+    fn of_names(names: &[&str], bound: bool) -> Result<Self, FileProblem> {
         let find = |name: &str| {
-            properties.iter().position(|property| property.name == name).ok_or_else(|| {
+            names.iter().position(|property| *property == name).ok_or_else(|| {
                 problem(
                     "vertex properties",
                     format!("`{name}`, a required property of 3D Gaussians"),
-                    format!(
-                        "{} properties: {}",
-                        properties.len(),
-                        excerpts(properties.iter().map(|p| p.name.as_str()), 20)
-                    ),
+                    format!("{} properties: {}", names.len(), excerpts(names.iter().copied(), 20)),
                 )
             })
         };
-        let binding = properties.iter().position(|property| property.name == "binding_0");
+        let binding = names.iter().position(|name| *name == "binding_0");
         if binding.is_some() && !bound {
             return Err(problem(
                 "vertex properties",
@@ -137,7 +166,7 @@ impl Layout {
                 "none: these Gaussians are bound to no mesh",
             ));
         }
-        let rest = properties.iter().filter(|property| property.name.starts_with("f_rest_")).count();
+        let rest = names.iter().filter(|name| name.starts_with("f_rest_")).count();
         let sh_degree =
             (0..=3).find(|&degree| 3 * (sh::coefficients(degree) - 1) == rest).ok_or_else(|| {
                 problem("f_rest", "0, 9, 24 or 45 properties (degree 0 to 3)", format!("{rest} properties"))
@@ -175,76 +204,72 @@ impl Layout {
     }
 
     /// Activates the values of vertex number `index` and appends the Gaussian.
-    fn push(&self, gaussians: &mut Gaussians, values: &[f64], index: u64) -> Result<(), FileProblem> {
-        let get = |field: &'static str, at: usize| {
-            let value = values[at] as f32;
-            if value.is_finite() {
-                return Ok(value);
-            }
-            Err(problem(field, "a finite number", format!("{} at vertex {index}", values[at])))
-        };
-        let get3 = |field, [a, b, c]: [usize; 3]| Ok([get(field, a)?, get(field, b)?, get(field, c)?]);
-
-        let position = get3("position", self.position)?;
-        let scale = get3("scale", self.scale)?.map(|raw| libm::exp(f64::from(raw)) as f32);
+    fn push(&self, to: &mut Decoded, values: &[f64], index: u64) -> Result<(), FileProblem> {
+        let get = |at: usize| values[at] as f32;
+        let position = Vec3::from(self.position.map(get));
+        let raw = self.scale.map(get);
+        let opacity = 1.0 / (1.0 + libm::exp(-f64::from(get(self.opacity))));
+        let rotation = self.rotation.map(get);
+        let sh = self.sh.iter().map(|of| of.map(get));
+        let finite = position.is_finite() && rotation.iter().all(|part| part.is_finite());
+        let Decoded { gaussians, invisible, .. } = to;
+        if !finite
+            || opacity.is_nan()
+            || raw.iter().any(|raw| raw.is_nan())
+            || !sh.clone().flatten().all(f32::is_finite)
+        {
+            // Where the one before is, so that the extent of the scene stays.
+            gaussians.positions.push(gaussians.positions.last().copied().unwrap_or_default());
+            gaussians.scales.push(Vec3::ZERO);
+            gaussians.rotations.push(Quat::IDENTITY);
+            gaussians.opacities.push(0.0);
+            gaussians.sh.extend(self.sh.iter().map(|_| [0.0; 3]));
+            *invisible += 1;
+            return Ok(());
+        }
+        let scale = raw.map(|raw| libm::exp(f64::from(raw)) as f32);
         if !scale.iter().all(|scale| scale.is_finite()) {
             let found = format!("{:?} at vertex {index}", self.scale.map(|at| values[at]));
             return Err(problem("scale", "logarithms of lengths, under 88", found));
         }
-        let [w, x, y, z] = self.rotation.map(|at| get("rotation", at));
-        let rotation = unit_rotation([x?, y?, z?, w?].map(f64::from), gaussians.len())?;
-        let opacity = 1.0 / (1.0 + libm::exp(-f64::from(get("opacity", self.opacity)?)));
+        let [w, x, y, z] = rotation;
+        let rotation = unit_rotation([x, y, z, w].map(f64::from), gaussians.len())?;
 
-        gaussians.positions.push(Vec3::from(position));
+        gaussians.positions.push(position);
         gaussians.scales.push(Vec3::from(scale));
         gaussians.rotations.push(rotation);
         gaussians.opacities.push(opacity as f32);
-        for &at in &self.sh {
-            gaussians.sh.push(get3("spherical harmonics", at)?);
-        }
+        gaussians.sh.extend(sh);
         Ok(())
     }
 }
 
-fn decode(reader: &mut impl Read, len: u64, bound: bool) -> Result<(Gaussians, Vec<u32>), FileProblem> {
+fn decode(reader: &mut impl Read, len: u64, bound: bool) -> Result<Decoded, FileProblem> {
     let header = Header::read(reader)?;
-    let vertex = &header.vertex;
-    let layout = Layout::new(&vertex.properties, bound)?;
+    let elements = &header.elements;
+    let at = elements.iter().position(|element| element.name == "vertex");
+    let at = at.ok_or_else(|| problem("element", "`vertex`", "none"))?;
+    let (before, vertex) = (&elements[..at], &elements[at]);
+    let mut body = Body::new(reader, header.encoding);
+    if vertex.find("packed_position").is_some() {
+        header.check_file_size(len)?;
+        return compressed::decode(&header, body);
+    }
+    let layout = Layout::new(vertex, bound)?;
     header.check_file_size(len)?;
-    let mut gaussians = room_for(vertex.count, layout.sh_degree)?;
-    gaussians.antialiased = header.antialiased;
-    let mut triangles = Vec::new();
-    let mut push = |values: &[f64], index: u64| {
-        layout.push(&mut gaussians, values, index)?;
-        layout.push_triangle(&mut triangles, values, index)
-    };
-
+    before.iter().try_for_each(|element| body.skip(element))?;
+    let mut decoded = Decoded { gaussians: room_for(vertex.count, layout.sh_degree)?, ..Decoded::default() };
+    decoded.gaussians.antialiased = header.antialiased;
     let mut values = vec![0.0; vertex.properties.len()];
-    if header.encoding == Encoding::Ascii {
-        let mut words = header::Words::new(reader);
-        for index in 0..vertex.count {
-            for value in &mut values {
-                *value = words.number(index)?;
-            }
-            push(&values, index)?;
-        }
-        if !header.followed {
-            words.end(vertex.count)?;
-        }
-        return Ok((gaussians, triangles));
-    }
-    let mut bytes = vec![0; vertex.bytes()];
     for index in 0..vertex.count {
-        reader.read_exact(&mut bytes).map_err(reading)?;
-        let mut rest = &bytes[..];
-        for (value, property) in values.iter_mut().zip(&vertex.properties) {
-            let (this, others) = rest.split_at(property.scalar.bytes());
-            *value = property.scalar.decode(this, header.encoding);
-            rest = others;
-        }
-        push(&values, index)?;
+        body.row(vertex, index, &mut values)?;
+        layout.push(&mut decoded, &values, index)?;
+        layout.push_triangle(&mut decoded.triangles, &values, index)?;
     }
-    Ok((gaussians, triangles))
+    if at + 1 == elements.len() {
+        body.end()?;
+    }
+    Ok(decoded)
 }
 
 fn encode(gaussians: &Gaussians, triangles: Option<&[u32]>, writer: &mut BufWriter<File>) -> io::Result<()> {

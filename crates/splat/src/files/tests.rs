@@ -161,6 +161,30 @@ fn glb_of_splat_transform_is_read() {
     assert_near(&gaussians, &turned, &tolerance);
 }
 
+#[test]
+fn compressed_ply_of_supersplat_is_read() {
+    let [found, expected] =
+        ["tiny.compressed.ply", "tiny-decompressed.ply"].map(|name| read_ply(&golden(name)).unwrap());
+    assert_near(&expected, &found, &Tolerance { position: 1e-4, color: 1e-6, rest: [1e-6; 2], ..EXACT });
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.compressed.ply");
+    let whole = std::fs::read(golden("tiny.compressed.ply")).unwrap();
+    for (from, to, expected) in [
+        ("element chunk 1", "element chunk 2", "bytes for 2 of chunk, 4 of vertex, 4 of sh"),
+        ("element sh 4", "element sh 3", "bytes for 1 of chunk, 4 of vertex, 3 of sh"),
+        ("float max_scale_z", "float other_limit", "`max_scale_z` of a compressed file"),
+        ("uint packed_color", "uint packed_paint", "`packed_color` of a compressed file"),
+        ("uchar f_rest_44", "uchar f_rest_99", "`f_rest_44` of a compressed file"),
+    ] {
+        let at = whole.windows(from.len()).position(|window| window == from.as_bytes()).unwrap();
+        let mut broken = whole.clone();
+        broken.splice(at..at + from.len(), to.bytes());
+        std::fs::write(&path, broken).unwrap();
+        let error = read_ply(&path).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
 /// The nodes of a scene turn, enlarge and move their Gaussians, and sets of several degrees become one.
 #[test]
 fn nodes_place_their_gaussians() {

@@ -521,6 +521,8 @@ pub(super) fn eyes() -> String {
 
 /// The same as dlib's 68 points, with the number of the frame.
 pub(super) fn dlib() -> String {
+    let compressed = fs::read(root().join("crates/splat/src/files/golden/tiny.compressed.ply")).unwrap();
+    samples.push(Sample { name: "compressed ply", bytes: compressed, file: "b.ply", arguments: rasterize });
     let names: String = (0..68).map(|n| format!(",x_{n},y_{n}")).collect();
     let points: String = (0..68).map(|n| format!(",{},{}", 4 + n % 17, 2 + n / 6)).collect();
     format!("subject,clip,frame{names}\ns1,.,1{points}\n")

@@ -2,10 +2,10 @@
 
 use std::io::{self, Read};
 
-use srflow_core::excerpt;
+use srflow_core::{excerpt, excerpts};
 use srflow_files::FileProblem;
 
-use crate::files::problem;
+use crate::files::{SplatFormat, problem};
 
 /// Maximum length of a header in bytes, far above that of any file of Gaussians.
 const MAX_HEADER: usize = 1 << 16;
@@ -85,19 +85,31 @@ impl Scalar {
 pub(super) struct Property {
     pub name: String,
     pub scalar: Scalar,
+    /// Of a list of such numbers: the type of its length.
+    pub length: Option<Scalar>,
 }
 
-/// The element `vertex`.
+/// A table of the body.
 #[derive(Debug)]
-pub(super) struct Vertex {
+pub(super) struct Element {
+    pub name: String,
     pub count: u64,
     pub properties: Vec<Property>,
 }
 
-impl Vertex {
-    /// Bytes of one vertex in a binary body.
-    pub(super) fn bytes(&self) -> usize {
-        self.properties.iter().map(|property| property.scalar.bytes()).sum()
+impl Element {
+    /// Bytes of one row in a binary body; lists count as empty.
+    pub(super) fn row_bytes(&self) -> usize {
+        self.properties.iter().map(|property| property.length.unwrap_or(property.scalar).bytes()).sum()
+    }
+
+    pub(super) fn has_lists(&self) -> bool {
+        self.properties.iter().any(|property| property.length.is_some())
+    }
+
+    /// Position of a property among the values of a row.
+    pub(super) fn find(&self, name: &str) -> Option<usize> {
+        self.properties.iter().position(|property| property.name == name)
     }
 }
 
@@ -107,9 +119,8 @@ pub(super) const ANTIALIASED: &str = "comment SplatRenderMode: mip";
 #[derive(Debug)]
 pub(super) struct Header {
     pub encoding: Encoding,
-    pub vertex: Vertex,
-    /// Whether other elements follow the vertices.
-    pub followed: bool,
+    /// In the order of the body.
+    pub elements: Vec<Element>,
     /// Whether a comment says so; see [`ANTIALIASED`].
     pub antialiased: bool,
     /// Length of the header in the file.
@@ -122,68 +133,75 @@ impl Header {
         let mut lines = Lines { reader, bytes: 0 };
         let magic = lines.next()?;
         if magic != "ply" {
-            return Err(problem("magic", "`ply` on the first line", quote(&magic)));
+            let expected =
+                format!("`ply` on the first line (formats by ending: {})", SplatFormat::extensions());
+            return Err(problem("magic", expected, quote(&magic)));
         }
         let mut encoding = None;
-        let mut vertex: Option<Vertex> = None;
-        let mut followed = false;
+        let mut elements: Vec<Element> = Vec::new();
         let mut antialiased = false;
         loop {
             let line = lines.next()?;
-            match line.split_ascii_whitespace().collect::<Vec<_>>()[..] {
+            let scalar = |kind: &str| {
+                Scalar::parse(kind)
+                    .ok_or_else(|| problem("property type", "a scalar type of PLY", quote(&line)))
+            };
+            let (length, kind, name) = match line.split_ascii_whitespace().collect::<Vec<_>>()[..] {
                 ["end_header"] => break,
-                ["comment", "SplatRenderMode:", "mip"] => antialiased = true,
-                ["comment" | "obj_info", ..] | [] => {}
-                ["format", name, "1.0"] => encoding = Some(parse_encoding(name)?),
-                ["element", "vertex", count] if vertex.is_none() => {
-                    let count =
-                        count.parse().map_err(|_| problem("vertex count", "a number", quote(count)))?;
-                    vertex = Some(Vertex { count, properties: Vec::new() });
+                ["comment", "SplatRenderMode:", "mip"] => {
+                    antialiased = true;
+                    continue;
                 }
-                ["element", name, ..] => {
-                    if vertex.is_none() {
-                        let expected = "`vertex` first (a compressed file must be exported uncompressed)";
-                        return Err(problem("element", expected, quote(name)));
+                ["comment" | "obj_info", ..] | [] => continue,
+                ["format", name, "1.0"] => {
+                    encoding = Some(parse_encoding(name)?);
+                    continue;
+                }
+                ["element", name, count] => {
+                    let count = count.parse().map_err(|_| problem("count", "a number", quote(&line)))?;
+                    if elements.iter().any(|element| element.name == name) {
+                        return Err(problem("element", "each name once", format!("{} twice", quote(name))));
                     }
-                    followed = true;
+                    elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
+                    continue;
                 }
-                ["property", ..] if followed => {}
-                ["property", kind, name] => {
-                    let unknown = || problem("property type", "a scalar type of PLY", quote(&line));
-                    let scalar = Scalar::parse(kind).ok_or_else(unknown)?;
-                    let vertex = vertex
-                        .as_mut()
-                        .ok_or_else(|| problem("property", "an element first", quote(&line)))?;
-                    if vertex.properties.iter().any(|property| property.name == name) {
-                        return Err(problem("property", "each name once", format!("{} twice", quote(name))));
-                    }
-                    vertex.properties.push(Property { name: name.to_owned(), scalar });
-                }
+                ["property", "list", length, kind, name] => (Some(scalar(length)?), scalar(kind)?, name),
+                ["property", kind, name] => (None, scalar(kind)?, name),
                 _ => return Err(problem("header", "a line of a PLY header", quote(&line))),
+            };
+            let element =
+                elements.last_mut().ok_or_else(|| problem("property", "an element first", quote(&line)))?;
+            if element.find(name).is_some() {
+                return Err(problem("property", "each name once", format!("{} twice", quote(name))));
             }
+            element.properties.push(Property { name: name.to_owned(), scalar: kind, length });
         }
         Ok(Self {
             encoding: encoding.ok_or_else(|| problem("format", "a line `format ... 1.0`", "none"))?,
-            vertex: vertex.ok_or_else(|| problem("element", "`vertex`", "none"))?,
-            followed,
+            elements,
             antialiased,
             bytes: lines.bytes,
         })
     }
 
+    /// The elements and their rows, for messages: `3 of chunk, 700 of vertex`.
+    pub(super) fn counts(&self) -> String {
+        let counts = self.elements.iter().map(|element| format!("{} of {}", element.count, element.name));
+        excerpts(counts.collect::<Vec<_>>().iter().map(String::as_str), 8)
+    }
+
     /// Checks that a file of `len` bytes can contain what the header claims.
     pub(super) fn check_file_size(&self, len: u64) -> Result<(), FileProblem> {
+        let ascii = self.encoding == Encoding::Ascii;
         // An ASCII value takes at least a digit and a space; the last space may be missing.
-        let vertex_bytes = match self.encoding {
-            Encoding::Ascii => 2 * self.vertex.properties.len() as u64,
-            Encoding::LittleEndian | Encoding::BigEndian => self.vertex.bytes() as u64,
-        };
-        let needed = self.vertex.count.saturating_mul(vertex_bytes).saturating_add(self.bytes as u64);
-        let exact = self.encoding != Encoding::Ascii && !self.followed;
-        let slack = u64::from(self.encoding == Encoding::Ascii);
-        if len + slack < needed || (exact && len != needed) {
+        let row = |element: &Element| if ascii { 2 * element.properties.len() } else { element.row_bytes() };
+        let needed = self.elements.iter().fold(self.bytes as u64, |sum, element| {
+            sum.saturating_add(element.count.saturating_mul(row(element) as u64))
+        });
+        let exact = !ascii && !self.elements.iter().any(Element::has_lists);
+        if len + u64::from(ascii) < needed || (exact && len != needed) {
             let least = if exact { "" } else { "at least " };
-            let expected = format!("{least}{needed} bytes for {} vertices", self.vertex.count);
+            let expected = format!("{least}{needed} bytes for {}", self.counts());
             return Err(problem("file size", expected, format!("{len} bytes")));
         }
         Ok(())
@@ -232,19 +250,85 @@ impl<R: Read> Lines<'_, R> {
     }
 }
 
-/// Iterates over the numbers of an ASCII body.
-pub(super) struct Words<'a, R> {
+/// The rows of a body, one after another.
+pub(super) struct Body<'a, R> {
     reader: &'a mut R,
+    encoding: Encoding,
+    /// Of one row of a binary body.
+    bytes: Vec<u8>,
     word: String,
 }
 
-impl<'a, R: Read> Words<'a, R> {
-    pub(super) fn new(reader: &'a mut R) -> Self {
-        Self { reader, word: String::new() }
+impl<'a, R: Read> Body<'a, R> {
+    pub(super) fn new(reader: &'a mut R, encoding: Encoding) -> Self {
+        Self { reader, encoding, bytes: Vec::new(), word: String::new() }
     }
 
-    /// The next number, which belongs to vertex number `vertex`.
-    pub(super) fn number(&mut self, vertex: u64) -> Result<f64, FileProblem> {
+    /// The numbers of row number `row` of an element without lists.
+    pub(super) fn row(&mut self, element: &Element, row: u64, values: &mut [f64]) -> Result<(), FileProblem> {
+        if self.encoding == Encoding::Ascii {
+            return values.iter_mut().try_for_each(|value| {
+                *value = self.word(&element.name, row)?;
+                Ok(())
+            });
+        }
+        self.bytes.resize(element.row_bytes(), 0);
+        self.reader.read_exact(&mut self.bytes).map_err(reading)?;
+        let mut rest = &self.bytes[..];
+        for (value, property) in values.iter_mut().zip(&element.properties) {
+            let (this, others) = rest.split_at(property.scalar.bytes());
+            *value = property.scalar.decode(this, self.encoding);
+            rest = others;
+        }
+        Ok(())
+    }
+
+    /// Passes over all rows of an element.
+    pub(super) fn skip(&mut self, element: &Element) -> Result<(), FileProblem> {
+        if self.encoding != Encoding::Ascii && !element.has_lists() {
+            return self.skip_bytes(element.count.saturating_mul(element.row_bytes() as u64));
+        }
+        if element.properties.is_empty() {
+            return Ok(());
+        }
+        for row in 0..element.count {
+            for property in &element.properties {
+                let Some(length) = property.length else {
+                    self.number(&element.name, row, property.scalar)?;
+                    continue;
+                };
+                let length = self.number(&element.name, row, length)?;
+                if length.fract() != 0.0 || !(0.0..=f64::from(u32::MAX)).contains(&length) {
+                    let found = format!("{length} in row {row} of {}", quote(&element.name));
+                    return Err(problem("length of a list", "a number from 0", found));
+                }
+                if self.encoding == Encoding::Ascii {
+                    (0..length as u64).try_for_each(|_| self.word(&element.name, row).map(drop))?;
+                } else {
+                    self.skip_bytes(length as u64 * property.scalar.bytes() as u64)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn skip_bytes(&mut self, count: u64) -> Result<(), FileProblem> {
+        let skipped = io::copy(&mut self.reader.by_ref().take(count), &mut io::sink()).map_err(reading)?;
+        if skipped == count { Ok(()) } else { Err(reading(io::ErrorKind::UnexpectedEof.into())) }
+    }
+
+    fn number(&mut self, element: &str, row: u64, scalar: Scalar) -> Result<f64, FileProblem> {
+        if self.encoding == Encoding::Ascii {
+            return self.word(element, row);
+        }
+        let mut bytes = [0; 8];
+        let bytes = &mut bytes[..scalar.bytes()];
+        self.reader.read_exact(bytes).map_err(reading)?;
+        Ok(scalar.decode(bytes, self.encoding))
+    }
+
+    /// The next number of an ASCII body.
+    fn word(&mut self, element: &str, row: u64) -> Result<f64, FileProblem> {
         const MAX_WORD: usize = 64;
         self.word.clear();
         loop {
@@ -261,20 +345,19 @@ impl<'a, R: Read> Words<'a, R> {
         self.word.parse().map_err(|_| {
             let found =
                 if self.word.is_empty() { "the end of the file".to_owned() } else { quote(&self.word) };
-            problem("vertex", "a number", format!("{found} at vertex {vertex}"))
+            problem("body", "a number", format!("{found} in row {row} of {}", quote(element)))
         })
     }
-}
 
-impl<R: Read> Words<'_, R> {
     /// # Errors
-    /// When anything but white space remains.
-    pub(super) fn end(mut self, vertices: u64) -> Result<(), FileProblem> {
-        self.word.clear();
-        while let Some(byte) = read_byte(self.reader)? {
+    /// When anything but white space remains of an ASCII body.
+    pub(super) fn end(self) -> Result<(), FileProblem> {
+        while self.encoding == Encoding::Ascii
+            && let Some(byte) = read_byte(self.reader)?
+        {
             if !byte.is_ascii_whitespace() {
-                let expected = format!("the end of the file after {vertices} vertices");
-                return Err(problem("vertices", expected, "more numbers: the header counts too few"));
+                let expected = "the end of the file after all rows";
+                return Err(problem("body", expected, "more numbers: the header counts too few"));
             }
         }
         Ok(())

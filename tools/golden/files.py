@@ -147,9 +147,12 @@ def images():
     y, x = np.mgrid[0:7, 0:10]
     rgb = np.stack([25 * x, 36 * y, 3 * x * y], -1).astype(np.uint8)
     bgr = np.ascontiguousarray(rgb[..., ::-1])
-    for name in ["image.ppm", "image.bmp", "image.png"]:
+    for name in ["image.ppm", "image.bmp", "image.png", "image.tif"]:
         cv2.imwrite(str(DATA / name), bgr)
     cv2.imwrite(str(DATA / "image_16bit.png"), bgr.astype(np.uint16) * 257)
+    cv2.imwrite(str(DATA / "image_16bit.tif"), bgr.astype(np.uint16) * 257)
+    cv2.imwrite(str(DATA / "image.webp"), bgr, [cv2.IMWRITE_WEBP_QUALITY, 101])  # over 100: lossless
+    cv2.imwritemulti(str(DATA / "two_images.tif"), [bgr, bgr])
     cv2.imwrite(str(DATA / "image_alpha.png"), np.dstack([bgr, (255 - 25 * x).astype(np.uint8)]))
     cv2.imwrite(str(DATA / "image_grey.png"), rgb[..., 0])
     cv2.imwrite(str(DATA / "image.jpg"), bgr, [cv2.IMWRITE_JPEG_QUALITY, 95])

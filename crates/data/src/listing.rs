@@ -106,12 +106,11 @@ pub fn stem(path: &Path) -> String {
     path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// What a folder holds in place of pictures that can be read, with advice: `41 .tif files: convert them to PNG`. `None` if it holds none
+/// What a folder holds in place of pictures that can be read, with advice: `41 .gif files: convert them to PNG`. `None` if it holds none
 /// or cannot be read.
 pub fn unread_files(dir: &Path) -> Option<String> {
-    const PICTURES: [&str; 14] = [
-        "tif", "tiff", "webp", "gif", "heic", "heif", "avif", "jp2", "jxl", "tga", "exr", "hdr", "dng", "raw",
-    ];
+    const PICTURES: [&str; 11] =
+        ["gif", "heic", "heif", "avif", "jp2", "jxl", "tga", "exr", "hdr", "dng", "raw"];
     const VIDEOS: [&str; 9] = ["mp4", "avi", "mov", "mkv", "mts", "mpg", "mpeg", "wmv", "webm"];
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
     for path in visible(dir).ok()?.iter().filter(|path| path.is_file()) {
@@ -184,11 +183,11 @@ mod tests {
     fn files_that_are_not_read_are_counted() {
         let folder = tempfile::tempdir().unwrap();
         assert_eq!(unread_files(folder.path()), None);
-        for name in ["1.tif", "2.TIF", "a.mp4", "notes.txt", "1.png"] {
+        for name in ["1.gif", "2.GIF", "a.mp4", "notes.txt", "1.png"] {
             std::fs::write(folder.path().join(name), "").unwrap();
         }
         let found = unread_files(folder.path()).unwrap();
-        assert_eq!(found, "2 .tif files, which srflow does not read here: convert to PNG");
+        assert_eq!(found, "2 .gif files, which srflow does not read here: convert to PNG");
     }
 
     proptest! {

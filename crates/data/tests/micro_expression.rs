@@ -532,8 +532,8 @@ fn the_number_of_a_frame_is_the_one_that_counts() {
 
 #[test]
 fn frames_that_are_not_read_are_named() {
-    let (_folder, source) = clip_of(&["img1.tif", "img2.tif", "img3.TIF"]);
-    let expected = ["1/a: 3 frames: 1-3 (the folder has 3 .tif files", "convert the files that are there"];
+    let (_folder, source) = clip_of(&["img1.gif", "img2.gif", "img3.GIF"]);
+    let expected = ["1/a: 3 frames: 1-3 (the folder has 3 .gif files", "convert the files that are there"];
     refuses(ClipDataset::open(&source, false), &expected);
 }
 

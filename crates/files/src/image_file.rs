@@ -14,13 +14,29 @@ use crate::{FileError, FileKind, FileProblem, write_atomically};
 use srflow_core::{Image, Labels, Mask, Plane};
 
 /// File extensions of [`read_image`], in lower case.
-pub const IMAGE_EXTENSIONS: [&str; 9] = ["png", "jpg", "jpeg", "jpe", "jfif", "ppm", "pgm", "pnm", "bmp"];
+pub const IMAGE_EXTENSIONS: [&str; 12] =
+    ["png", "jpg", "jpeg", "jpe", "jfif", "ppm", "pgm", "pnm", "bmp", "webp", "tif", "tiff"];
 
-/// Reads a PNG, JPEG, PPM/PGM or BMP file, detected by its first bytes. 16-bit channels are rounded to 8 bits, grey becomes
+/// The formats, and their names in messages.
+const NAMES: [(ImageFormat, &str); 6] = [
+    (ImageFormat::Png, "PNG"),
+    (ImageFormat::Jpeg, "JPEG"),
+    (ImageFormat::Pnm, "PPM"),
+    (ImageFormat::Bmp, "BMP"),
+    (ImageFormat::WebP, "WebP"),
+    (ImageFormat::Tiff, "TIFF"),
+];
+
+/// Most pixels that a WebP or TIFF file of any length may claim, and per byte: an even 4K frame takes next to nothing, and deflate holds a
+/// thousand bytes in one.
+const PIXELS_OF_ANY_FILE: u64 = 1 << 24;
+const PIXELS_PER_BYTE: u64 = 1024;
+
+/// Reads a PNG, JPEG, PPM/PGM, BMP, WebP or TIFF file, detected by its first bytes. 16-bit channels are rounded to 8 bits, grey becomes
 /// three equal channels, alpha is dropped. The image is turned upright as its EXIF data says.
 ///
 /// # Errors
-/// When the file cannot be read, has another format, or is corrupt.
+/// When the file cannot be read, has another format, holds several pictures, or is corrupt.
 pub fn read_image(path: &Path) -> Result<Image, FileError> {
     read_with(path, FileKind::Image, |reader, len| image_of(&read_all(reader, len)?))
 }
@@ -227,15 +243,11 @@ fn encode_png(
 /// The format detected from the first bytes.
 fn format_of(start: &[u8]) -> Result<ImageFormat, FileProblem> {
     let guessed = image::guess_format(start).ok();
-    if let Some(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Pnm | ImageFormat::Bmp)) =
-        guessed
-    {
+    if let Some(format) = guessed.filter(|format| NAMES.iter().any(|(known, _)| known == format)) {
         return Ok(format);
     }
     let known = match guessed {
         Some(ImageFormat::Gif) => Some("a GIF"),
-        Some(ImageFormat::Tiff) => Some("a TIFF"),
-        Some(ImageFormat::WebP) => Some("a WebP"),
         Some(ImageFormat::Avif) => Some("an AVIF"),
         _ => is_heif(start).then_some("a HEIF (HEIC)"),
     };
@@ -243,7 +255,7 @@ fn format_of(start: &[u8]) -> Result<ImageFormat, FileProblem> {
         Some(known) => format!("{known} file: convert it to PNG"),
         None => format!("\"{}\"", start[..start.len().min(8)].escape_ascii()),
     };
-    Err(FileProblem::field("magic", "a PNG, JPEG, PPM or BMP file", found))
+    Err(FileProblem::field("magic", "a PNG, JPEG, PPM, BMP, WebP or TIFF file", found))
 }
 
 /// Whether these are the first bytes of a picture of a phone.
@@ -264,6 +276,14 @@ fn decode(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
     match format {
         ImageFormat::Png => PngOutline::read(bytes).map(drop)?,
         ImageFormat::Jpeg => return decode_jpeg(bytes),
+        ImageFormat::WebP if riff_is_cut(bytes) => return Err(truncated()),
+        ImageFormat::Tiff | ImageFormat::WebP if several_pictures(bytes) => {
+            return Err(FileProblem::field(
+                "image",
+                "one picture",
+                "several: write each to a file of its own",
+            ));
+        }
         _ => {}
     }
     decode_as(format, bytes)
@@ -287,7 +307,46 @@ fn decode_as(format: ImageFormat, bytes: &[u8]) -> Result<DynamicImage, FileProb
     let decoder = reader.into_decoder().map_err(broken)?;
     let (width, height) = decoder.dimensions();
     check_size(width.into(), height.into())?;
-    DynamicImage::from_decoder(decoder).map_err(broken)
+    let pixels = u64::from(width) * u64::from(height);
+    if matches!(format, ImageFormat::WebP | ImageFormat::Tiff)
+        && pixels > PIXELS_OF_ANY_FILE.max(PIXELS_PER_BYTE * bytes.len() as u64)
+    {
+        let found = format!("{width}x{height} pixels in {} bytes", bytes.len());
+        return Err(FileProblem::field("size", "as many pixels as the file can hold", found));
+    }
+    let picture = DynamicImage::from_decoder(decoder).map_err(broken)?;
+    match picture {
+        DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_) => {
+            Err(FileProblem::field("pixels", "8 or 16 bits a channel", "floating-point numbers"))
+        }
+        picture => Ok(picture),
+    }
+}
+
+/// Whether a WebP file is shorter than the length in its first bytes, whose pixels the decoder makes up.
+fn riff_is_cut(bytes: &[u8]) -> bool {
+    let length = bytes.get(4..8).and_then(|length| Some(u32::from_le_bytes(length.try_into().ok()?)));
+    length.is_none_or(|length| (bytes.len() as u64) < 8 + u64::from(length))
+}
+
+/// Whether a file holds more than one picture, of which the decoder would give the first: a WebP file that says that it is animated, or a
+/// TIFF file of several directories. TIFF files beyond 4 GB (BigTIFF) are not looked into.
+fn several_pictures(bytes: &[u8]) -> bool {
+    const ANIMATED: u8 = 2;
+    if bytes.get(12..16) == Some(b"VP8X") {
+        return bytes.get(20).is_some_and(|flags| flags & ANIMATED != 0);
+    }
+    let big = bytes.starts_with(b"MM\0*");
+    let number = |at: usize, len: usize| {
+        let bytes = bytes.get(at..at.checked_add(len)?)?;
+        let digit = |sum: usize, byte: &u8| sum << 8 | usize::from(*byte);
+        Some(if big { bytes.iter().fold(0, digit) } else { bytes.iter().rev().fold(0, digit) })
+    };
+    let next = || {
+        let first = number(4, 4)?;
+        number(first + 2 + 12 * number(first, 2)?, 4)
+    };
+    (big || bytes.starts_with(b"II*\0")) && next().is_some_and(|next| next != 0)
 }
 
 /// The decoder fills missing parts of a JPEG with grey, as others do; here a truncated file is an error.
@@ -306,10 +365,5 @@ fn decode_jpeg(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
 }
 
 fn name(format: ImageFormat) -> &'static str {
-    match format {
-        ImageFormat::Png => "PNG",
-        ImageFormat::Jpeg => "JPEG",
-        ImageFormat::Bmp => "BMP",
-        _ => "PPM",
-    }
+    NAMES.iter().find(|(known, _)| *known == format).map_or("picture", |(_, name)| name)
 }

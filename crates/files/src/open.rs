@@ -9,7 +9,7 @@ use crate::{FileError, FileProblem};
 /// The kind of a file, which limits its size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FileKind {
-    /// PNG, JPEG, PPM or BMP.
+    /// PNG, JPEG, PPM, BMP, WebP or TIFF.
     Image,
     Flow,
     /// NumPy arrays of any shape.

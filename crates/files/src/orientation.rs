@@ -2,12 +2,13 @@
 
 use std::io::{self, BufRead, Read as _, Seek};
 
-use image::ImageFormat;
+use image::codecs::webp::WebPDecoder;
 use image::metadata::Orientation;
+use image::{ImageDecoder as _, ImageFormat};
 
 use crate::codec::PNG_MAGIC;
 
-/// The turn that EXIF data in a JPEG file (APP1) or PNG file (eXIf) asks for; none in other formats and where the data is damaged.
+/// The turn that EXIF data in a JPEG (APP1), PNG (eXIf) or WebP file asks for, or the directory of a TIFF file, which is the same; none in other formats and where the data is damaged.
 /// `reader` is at the start of the file, and is left anywhere.
 ///
 /// # Errors
@@ -19,6 +20,14 @@ pub(crate) fn orientation_of(
     let exif = match format {
         ImageFormat::Jpeg => exif_of_jpeg(reader),
         ImageFormat::Png => exif_of_png(reader),
+        // What it finds broken, reading the picture reports.
+        ImageFormat::WebP => {
+            Ok(WebPDecoder::new(reader).and_then(|mut decoder| decoder.exif_metadata()).unwrap_or_default())
+        }
+        ImageFormat::Tiff => {
+            let mut whole = Vec::new();
+            reader.read_to_end(&mut whole).map(|_| Some(whole))
+        }
         _ => Ok(None),
     };
     match exif {

@@ -14,11 +14,14 @@ fn data(name: &str) -> PathBuf {
     PathBuf::from("tests/data").join(name)
 }
 
-const KINDS: [&str; 8] = [
+const KINDS: [&str; 11] = [
     "image.ppm",
     "image.bmp",
     "image.png",
+    "image.tif",
+    "image.webp",
     "image_16bit.png",
+    "image_16bit.tif",
     "image_alpha.png",
     "image_grey.png",
     "image.jpg",
@@ -28,8 +31,9 @@ const KINDS: [&str; 8] = [
 #[test]
 fn every_kind_of_image_is_read_as_rgb() {
     let expected = Image::from_fn(10, 7, |x, y| [25 * x as u8, 36 * y as u8, (3 * x * y) as u8]);
-    for name in ["image.ppm", "image.bmp", "image.png", "image_16bit.png", "image_alpha.png"] {
+    for name in KINDS.iter().filter(|name| !name.ends_with(".jpg") && **name != "image_grey.png") {
         assert_eq!(read_image(&data(name)).unwrap(), expected, "{name}");
+        assert_eq!(read_image_size(&data(name)).unwrap(), (10, 7), "{name}");
     }
     let grey = Image::from_fn(10, 7, |x, _| [25 * x as u8; 3]);
     assert_eq!(read_image(&data("image_grey.png")).unwrap(), grey);
@@ -278,15 +282,19 @@ fn images_cut_short_are_refused() {
 fn other_files_are_refused() {
     for (bytes, found) in [
         (b"GIF89a and so on".as_slice(), "a GIF file: convert it to PNG"),
-        (b"II*\0 and so on", "a TIFF file: convert it to PNG"),
-        (b"RIFF\0\0\0\0WEBP and so on", "a WebP file: convert it to PNG"),
         (b"\0\0\0\x18ftypheic and so on", "a HEIF (HEIC) file: convert it to PNG"),
         (b"anything else", "\"anything\""),
     ] {
         let message = read_bytes(bytes).unwrap_err();
-        let expected = format!("image.any: magic: expected a PNG, JPEG, PPM or BMP file, found {found}");
+        let expected =
+            format!("image.any: magic: expected a PNG, JPEG, PPM, BMP, WebP or TIFF file, found {found}");
         assert!(message.ends_with(&expected), "{message}");
     }
+    let pages = read_image(&data("two_images.tif")).unwrap_err().to_string();
+    assert!(
+        pages.ends_with("image: expected one picture, found several: write each to a file of its own"),
+        "{pages}"
+    );
     let mut huge = fs::read(data("image.png")).unwrap();
     huge[16..24].copy_from_slice(&[0, 1, 0, 0, 0, 1, 0, 0]);
     assert!(

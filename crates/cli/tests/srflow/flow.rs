@@ -107,8 +107,8 @@ fn the_names_of_frames_say_their_order() {
     folder("twice", &["1", "01", "2"]);
     refuses(&flow(dir, &["twice", "-o", "new"]), 1, &["twice: one frame exists twice, as 01.png and 1.png"]);
     folder("other", &[]);
-    fs::write(dir.join("other/1.tif"), "").unwrap();
-    refuses(&flow(dir, &["other", "-o", "new"]), 1, &["found 0, and 1 .tif file", "convert to PNG"]);
+    fs::write(dir.join("other/1.gif"), "").unwrap();
+    refuses(&flow(dir, &["other", "-o", "new"]), 1, &["found 0, and 1 .gif file", "convert to PNG"]);
     fs::write(dir.join("a.xyz"), "").unwrap();
     refuses(&flow(dir, &["none", "-o", "new"]), 2, &["none: expected frames", "no such file or folder"]);
     refuses(

@@ -73,7 +73,12 @@ for (const version of [2, 3]) {
 
 const cli = join(dirname(require.resolve('@playcanvas/splat-transform')), '..', 'bin', 'cli.mjs');
 execFileSync(process.execPath, [cli, '-w', join(out, 'tiny.ply'), join(out, 'tiny.glb')]);
-// What the program itself reads from the compressed file, whose order is another.
-for (const [from, to] of [['tiny.ply', 'tiny.compressed.ply'], ['tiny.compressed.ply', 'tiny-decompressed.ply']]) {
-    execFileSync(process.execPath, [cli, '-w', join(out, from), join(out, to)]);
+// And what the program itself reads from compressed files, whose order is another.
+for (const [from, to] of [
+    ['tiny.ply', 'tiny.compressed.ply'],
+    ['tiny.compressed.ply', 'tiny-decompressed.ply'],
+    ['tiny.ply', 'tiny.sog'],
+    ['tiny.sog', 'tiny-of-sog.ply'],
+]) {
+    execFileSync(process.execPath, [cli, '-w', '-g', 'cpu', join(out, from), join(out, to)]);
 }

@@ -47,6 +47,15 @@ pub(crate) fn image_of(bytes: &[u8]) -> Result<Image, FileProblem> {
     Ok(Image::from_buffer(width, height, pixels.as_raw().as_chunks().0.to_vec()))
 }
 
+/// Width, height and pixels of a picture with its alpha, as it is stored.
+///
+/// # Errors
+/// As [`read_image`].
+pub fn rgba_of_image(bytes: &[u8]) -> Result<(usize, usize, Vec<[u8; 4]>), FileProblem> {
+    let pixels = decode(bytes)?.into_rgba8();
+    Ok((pixels.width() as usize, pixels.height() as usize, pixels.as_raw().as_chunks().0.to_vec()))
+}
+
 /// Width and height of an upright image, from the header of its file alone.
 ///
 /// # Errors

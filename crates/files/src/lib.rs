@@ -30,7 +30,7 @@ pub use file_bytes::FileBytes;
 pub use file_error::{FileError, FileProblem};
 pub use image_file::{
     IMAGE_EXTENSIONS, read_alpha, read_grey16, read_image, read_image_size, read_labels, read_mask,
-    write_image_png, write_labels_png, write_mask_png,
+    rgba_of_image, write_image_png, write_labels_png, write_mask_png,
 };
 pub use json_lines::{JsonLines, RecordError, parse_sealed_json, read_json_lines, sealed_json};
 pub use open::{FileKind, open_file, read_file, read_text};

@@ -94,13 +94,16 @@ impl ConvertJob {
     fn splat_formats(&self) -> anyhow::Result<Option<(&'static SplatFormat, &'static SplatFormat)>> {
         let (input, output) = (self.input.display(), self.output.display());
         let known = SplatFormat::extensions();
+        let written = SplatFormat::written_extensions();
         match (SplatFormat::of(&self.input), SplatFormat::of(&self.output)) {
             (Some(_), Some(_)) if self.viz => {
                 wrong_settings!("`viz` draws a flow: {input} holds Gaussians")
             }
-            (Some(from), Some(to)) => Ok(Some((from, to))),
-            (Some(_), None) => {
-                wrong_settings!("{output}: {input} holds Gaussians: expected a name ending in one of {known}")
+            (Some(from), Some(to)) if to.is_written() => Ok(Some((from, to))),
+            (Some(_), _) => {
+                wrong_settings!(
+                    "{output}: {input} holds Gaussians: expected a name ending in one of {written}"
+                )
             }
             (None, Some(_)) => {
                 wrong_settings!(
@@ -166,7 +169,7 @@ impl Target {
                 wrong_settings!(
                     "{}: expected a name ending in one of {formats} for a flow, or {} for Gaussians",
                     output.display(),
-                    SplatFormat::extensions()
+                    SplatFormat::written_extensions()
                 )
             }
         }

@@ -2,6 +2,7 @@
 
 mod glb;
 mod ply;
+mod sog;
 mod splat;
 mod spz;
 
@@ -29,7 +30,8 @@ pub struct SplatFormat {
     /// What is lost on writing, for a note; `None` where every value is kept.
     pub loses: Option<&'static str>,
     read: fn(&Path) -> Result<Gaussians, FileError>,
-    write: fn(&Path, &Gaussians) -> Result<(), FileError>,
+    /// `None` for formats that are read only.
+    write: Option<fn(&Path, &Gaussians) -> Result<(), FileError>>,
 }
 
 /// The direction that is up in the world of Gaussians.
@@ -66,14 +68,14 @@ impl FromStr for Up {
 srflow_core::serialize_as_text!(Up);
 
 /// The formats. The first is that of files with any other extension.
-pub static SPLAT_FORMATS: [SplatFormat; 4] = [
+pub static SPLAT_FORMATS: [SplatFormat; 5] = [
     SplatFormat {
         extension: "ply",
         up: None,
         keeps_order: true,
         loses: None,
         read: ply::read_ply,
-        write: ply::write_ply,
+        write: Some(ply::write_ply),
     },
     SplatFormat {
         extension: "splat",
@@ -84,7 +86,7 @@ pub static SPLAT_FORMATS: [SplatFormat; 4] = [
              colours, opacities and rotations are rounded to 8 bits",
         ),
         read: splat::read,
-        write: splat::write,
+        write: Some(splat::write),
     },
     SplatFormat {
         extension: "spz",
@@ -92,7 +94,7 @@ pub static SPLAT_FORMATS: [SplatFormat; 4] = [
         keeps_order: true,
         loses: Some("precision: scales are rounded to steps of 6 %, spherical harmonics to 4 or 5 bits"),
         read: spz::read,
-        write: spz::write,
+        write: Some(spz::write),
     },
     SplatFormat {
         extension: "glb",
@@ -100,8 +102,9 @@ pub static SPLAT_FORMATS: [SplatFormat; 4] = [
         keeps_order: true,
         loses: None,
         read: glb::read,
-        write: glb::write,
+        write: Some(glb::write),
     },
+    SplatFormat { extension: "sog", up: None, keeps_order: false, loses: None, read: sog::read, write: None },
 ];
 
 impl SplatFormat {
@@ -111,9 +114,24 @@ impl SplatFormat {
         SPLAT_FORMATS.iter().find(|format| format.extension.eq_ignore_ascii_case(extension))
     }
 
-    /// All extensions, for messages: `.ply, .splat, .spz, .glb`.
+    /// Whether it is also written.
+    pub fn is_written(&self) -> bool {
+        self.write.is_some()
+    }
+
+    /// All extensions, for messages: `.ply, .splat, .spz, .glb, .sog`.
     pub fn extensions() -> String {
-        SPLAT_FORMATS.each_ref().map(|format| format!(".{}", format.extension)).join(", ")
+        Self::listed(|_| true)
+    }
+
+    /// Those that are also written.
+    pub fn written_extensions() -> String {
+        Self::listed(Self::is_written)
+    }
+
+    fn listed(shown: fn(&Self) -> bool) -> String {
+        let shown = SPLAT_FORMATS.iter().filter(|format| shown(format));
+        shown.map(|format| format!(".{}", format.extension)).collect::<Vec<_>>().join(", ")
     }
 }
 
@@ -134,11 +152,11 @@ pub fn read_gaussians(path: &Path) -> Result<Gaussians, FileError> {
 /// When the extension is unknown, the lists do not match, a value has no form in the file (not finite, a negative scale, an opacity
 /// outside 0..=1, a position out of range), or the file cannot be written.
 pub fn write_gaussians(path: &Path, gaussians: &Gaussians) -> Result<(), FileError> {
-    let format = SplatFormat::of(path).ok_or_else(|| {
+    let write = SplatFormat::of(path).and_then(|format| format.write).ok_or_else(|| {
         let found = path.extension().unwrap_or_default().to_string_lossy().into_owned();
-        problem("extension", SplatFormat::extensions(), found).in_file(path)
+        problem("extension", SplatFormat::written_extensions(), found).in_file(path)
     })?;
-    (format.write)(path, gaussians)
+    write(path, gaussians)
 }
 
 fn problem(field: &'static str, expected: impl ToString, found: impl ToString) -> FileProblem {

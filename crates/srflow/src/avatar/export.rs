@@ -75,10 +75,10 @@ impl Job for ExportJob {
 
     fn work(&self, _watch: &Watch) -> anyhow::Result<GaussiansWritten> {
         let output = self.output.display();
-        let Some(format) = SplatFormat::of(&self.output) else {
+        let Some(format) = SplatFormat::of(&self.output).filter(|format| format.is_written()) else {
             wrong_settings!(
                 "{output}: expected a file ending in {} (`srflow avatar mesh` writes a mesh alone, as .obj too)",
-                SplatFormat::extensions()
+                SplatFormat::written_extensions()
             );
         };
         let is_scene = format.extension == "glb";

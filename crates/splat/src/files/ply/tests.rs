@@ -115,7 +115,7 @@ fn message(bytes: &[u8]) -> String {
 fn errors_say_what_was_expected_and_found() {
     assert_eq!(
         message(b"PNG\n"),
-        "magic: expected `ply` on the first line (formats by ending: .ply, .splat, .spz, .glb), found \"PNG\""
+        "magic: expected `ply` on the first line (formats by ending: .ply, .splat, .spz, .glb, .sog), found \"PNG\""
     );
     let text = String::from_utf8(foreign("ascii")).unwrap();
     let lie = text.replace("element vertex 1\n", "element vertex 9000000000000000000\n");

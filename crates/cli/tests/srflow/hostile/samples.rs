@@ -528,8 +528,9 @@ pub(super) fn dlib() -> String {
         samples.push(Sample { name, bytes, file, arguments: rasterize });
     }
     for (name, file) in [("webp", "b.webp"), ("tiff", "b.tif")] {
-        let bytes = fs::read(root().join("crates/files/tests/data/image").with_extension(&file[2..])).unwrap();
-        samples.push(Sample { name, bytes, file, arguments: strain });
+        let bytes =
+            fs::read(root().join("crates/files/tests/data/image").with_extension(&file[2..])).unwrap();
+        samples.push(Sample { name, bytes, file, arguments: estimate });
     }
     let names: String = (0..68).map(|n| format!(",x_{n},y_{n}")).collect();
     let points: String = (0..68).map(|n| format!(",{},{}", 4 + n % 17, 2 + n / 6)).collect();

@@ -108,6 +108,17 @@ pub(super) fn samples(folder: &Path) -> Vec<Sample> {
     let rasterize = &["rasterize", "FILE", "--camera", "DIR/camera.json", "--out", "DIR/out", "--force"];
     let ply = fs::read(folder.join("a.ply")).unwrap();
     samples.push(Sample { name: "ply", bytes: ply, file: "b.ply", arguments: rasterize });
+    for (name, golden, file) in
+        [("compressed ply", "tiny.compressed.ply", "b.ply"), ("sog", "tiny.sog", "b.sog")]
+    {
+        let bytes = fs::read(root().join("crates/splat/src/files/golden").join(golden)).unwrap();
+        samples.push(Sample { name, bytes, file, arguments: rasterize });
+    }
+    for (name, file) in [("webp", "b.webp"), ("tiff", "b.tif")] {
+        let bytes =
+            fs::read(root().join("crates/files/tests/data/image").with_extension(&file[2..])).unwrap();
+        samples.push(Sample { name, bytes, file, arguments: estimate });
+    }
     for (name, file) in [("splat", "b.splat"), ("spz", "b.spz"), ("glb of Gaussians", "c.glb")] {
         write_gaussians(&folder.join(file), &gaussians).unwrap();
         let bytes = fs::read(folder.join(file)).unwrap();
@@ -521,17 +532,6 @@ pub(super) fn eyes() -> String {
 
 /// The same as dlib's 68 points, with the number of the frame.
 pub(super) fn dlib() -> String {
-    for (name, golden, file) in
-        [("compressed ply", "tiny.compressed.ply", "b.ply"), ("sog", "tiny.sog", "b.sog")]
-    {
-        let bytes = fs::read(root().join("crates/splat/src/files/golden").join(golden)).unwrap();
-        samples.push(Sample { name, bytes, file, arguments: rasterize });
-    }
-    for (name, file) in [("webp", "b.webp"), ("tiff", "b.tif")] {
-        let bytes =
-            fs::read(root().join("crates/files/tests/data/image").with_extension(&file[2..])).unwrap();
-        samples.push(Sample { name, bytes, file, arguments: estimate });
-    }
     let names: String = (0..68).map(|n| format!(",x_{n},y_{n}")).collect();
     let points: String = (0..68).map(|n| format!(",{},{}", 4 + n % 17, 2 + n / 6)).collect();
     format!("subject,clip,frame{names}\ns1,.,1{points}\n")

@@ -18,6 +18,8 @@ use crate::Gaussians;
 
 pub use ply::{read_bound_ply, read_ply, write_bound_ply, write_ply};
 
+type Write = fn(&Path, &Gaussians) -> Result<(), FileError>;
+
 /// A format of files of 3D Gaussians.
 #[derive(Debug)]
 pub struct SplatFormat {
@@ -31,7 +33,7 @@ pub struct SplatFormat {
     pub loses: Option<&'static str>,
     read: fn(&Path) -> Result<Gaussians, FileError>,
     /// `None` for formats that are read only.
-    write: Option<fn(&Path, &Gaussians) -> Result<(), FileError>>,
+    write: Option<Write>,
 }
 
 /// The direction that is up in the world of Gaussians.

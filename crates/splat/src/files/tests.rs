@@ -221,7 +221,8 @@ fn a_sog_with_another_description_is_refused() {
     assert_eq!(with(&|meta| meta["count"] = 3.into()).unwrap().len(), 3);
     // A list that lacks its first number.
     assert!(with(&|meta| meta["scales"]["codebook"][0] = serde_json::Value::Null).is_ok());
-    let cases: [(&dyn Fn(&mut serde_json::Value), &str); 6] = [
+    type Change<'a> = &'a dyn Fn(&mut serde_json::Value);
+    let cases: [(Change, &str); 6] = [
         (&|meta| meta["count"] = 100.into(), "one pixel for each of 100 Gaussians"),
         (&|meta| meta["count"] = (1_u64 << 40).into(), "count: expected at most"),
         (&|meta| meta["version"] = 3.into(), "version: expected 1 or 2, found 3"),

@@ -1,6 +1,6 @@
 // Writes the golden files of crates/splat/src/files/golden: four Gaussians in every format, each by the program that the format comes from.
 //
-//   npm install @adobe/spz@0.2.2 @playcanvas/splat-transform@2.7.1
+//   npm install @adobe/spz@0.2.3 @playcanvas/splat-transform@2.7.1 @mkkellogg/gaussian-splats-3d@0.4.7 three@0.187
 //   node splats.mjs main.js ../../crates/splat/src/files/golden
 //
 // main.js is that of github.com/antimatter15/splat (commit ba182b5); @adobe/spz is nianticlabs/spz compiled for the web. The .ply is by the
@@ -65,10 +65,48 @@ const cloud = {
     colors: gather(['f_dc_0', 'f_dc_1', 'f_dc_2']),
     sh: gather(byCoefficient),
 };
-for (const version of [2, 3]) {
-    const from = spz.CoordinateSystem.UNSPECIFIED;
+const from = spz.CoordinateSystem.UNSPECIFIED;
+for (const version of [2, 3, 4]) {
     const bytes = spz.saveSpzToBuffer(cloud, { version, from, sh1Bits: 5, shRestBits: 4 });
     writeFileSync(join(out, `tiny-v${version}.spz`), Buffer.from(bytes));
+}
+
+// The last with records of a camera and of mirrored axes, of which two are exchanged, and what the program reads of it. (It writes no records
+// that are made in JavaScript.)
+const plain = readFileSync(join(out, 'tiny-v4.spz'));
+const records = Buffer.alloc(32);
+[0xadbe0002, 12, 0, 0, 0, 0xadbe0003, 4, spz.CoordinateSystem.LFU.value].forEach((word, at) => records.writeUInt32LE(word, 4 * at));
+const extended = Buffer.concat([plain.subarray(0, 32), records, plain.subarray(32)]);
+extended[14] |= 2;
+extended.writeUInt32LE(32 + records.length, 16);
+writeFileSync(join(out, 'tiny-v4-lfu.spz'), extended);
+const read = spz.loadSpzFromBuffer(extended, { to: spz.CoordinateSystem.RUB });
+const lists = [
+    [read.positions, ['x', 'y', 'z']],
+    [read.scales, ['scale_0', 'scale_1', 'scale_2']],
+    [read.rotations, ['rot_1', 'rot_2', 'rot_3', 'rot_0']],
+    [read.alphas, ['opacity']],
+    [read.colors, ['f_dc_0', 'f_dc_1', 'f_dc_2']],
+    [read.sh, byCoefficient],
+];
+const ofExtended = new Float32Array(COUNT * names.length);
+for (const [list, columns] of lists) {
+    list.forEach((value, at) => {
+        ofExtended[Math.floor(at / columns.length) * names.length + column(columns[at % columns.length])] = value;
+    });
+}
+writeFileSync(join(out, 'tiny-of-v4-lfu.ply'), Buffer.concat([Buffer.from(header), Buffer.from(ofExtended.buffer)]));
+
+// GaussianSplats3D is made for browsers.
+globalThis.navigator ??= { userAgent: '' };
+globalThis.window ??= globalThis;
+const { PlyParser, SplatBufferGenerator } = await import(require.resolve('@mkkellogg/gaussian-splats-3d'));
+const { Vector3 } = require('three');
+for (const level of [0, 1, 2]) {
+    const splats = PlyParser.parseToUncompressedSplatArray(copy, 2);
+    const generator = SplatBufferGenerator.getStandardGenerator(1, level, 0, new Vector3(), 5.0, 256);
+    const { bufferData } = generator.generateFromUncompressedSplatArray(splats);
+    writeFileSync(join(out, `tiny-${level}.ksplat`), Buffer.from(bufferData));
 }
 
 const cli = join(dirname(require.resolve('@playcanvas/splat-transform')), '..', 'bin', 'cli.mjs');

@@ -87,7 +87,7 @@ impl Gaussians {
         .into())
     }
 
-    /// Reads a file of 3D Gaussians by its extension, in the coordinates of the file: .ply of 3D Gaussian Splatting, .splat, .spz, .glb or .sog.
+    /// Reads a file of 3D Gaussians by its extension, in the coordinates of the file: .ply of 3D Gaussian Splatting, .splat, .spz, .glb, .ksplat or .sog.
     #[staticmethod]
     #[pyo3(signature = (path: "str | os.PathLike[str]") -> "Gaussians")]
     fn read(py: Python<'_>, path: PathBuf) -> PyResult<Self> {

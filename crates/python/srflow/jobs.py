@@ -346,7 +346,7 @@ def rasterize(
 
     Args:
         out: Folder to write into, created if missing; with a moving camera also a video file.
-        gaussians: Gaussians of this frame: .ply, .splat, .spz, .glb or .sog.
+        gaussians: Gaussians of this frame: .ply, .splat, .spz, .glb, .ksplat or .sog.
         next: Gaussians of the next frame: the same ones in the same order.
         head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         motion: Motion of the head: `own` (the avatar's training motion), a flame_param.npz or capture of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].

@@ -84,9 +84,17 @@ pub(crate) fn rotate(degree: usize, sh: &mut [[f32; 3]], rotation: DMat3) {
 
 /// Turns coefficients by 180 degrees about the x axis, exactly: those of functions that are odd in y and z together change their sign.
 pub(crate) fn turn_about_x(degree: usize, sh: &mut [[f32; 3]]) {
-    const ODD: [usize; 8] = [1, 2, 4, 7, 9, 11, 12, 14];
+    change_signs(degree, sh, &[1, 2, 4, 7, 9, 11, 12, 14]);
+}
+
+/// Mirrors coefficients along the z axis, exactly: those of functions that are odd in z change their sign.
+pub(crate) fn mirror_z(degree: usize, sh: &mut [[f32; 3]]) {
+    change_signs(degree, sh, &[2, 5, 7, 10, 12, 14]);
+}
+
+fn change_signs(degree: usize, sh: &mut [[f32; 3]], coefficients_of_one: &[usize]) {
     for of_one in sh.chunks_exact_mut(coefficients(degree)) {
-        for at in ODD {
+        for &at in coefficients_of_one {
             if let Some(coefficient) = of_one.get_mut(at) {
                 *coefficient = coefficient.map(|channel| -channel);
             }

@@ -21,7 +21,7 @@ use crate::{Job, Report, Watch};
 /// .png rounds to steps of 1/64 pixel, .png128 of 1/128, .npz16 of 1/256 (more where flow is longer than 128
 /// pixels).
 ///
-/// 3D Gaussians: both formats from the extension: .ply, .splat, .spz or .glb; .sog is read only. What is upright
+/// 3D Gaussians: both formats from the extension: .ply, .splat, .spz or .glb; .ksplat and .sog are read only. What is upright
 /// in IN is upright in OUT: between formats with another direction of up they are turned by 180 degrees about the
 /// x axis. docs/guides/rasterize.md lists what each format keeps. `srflow avatar export` writes the Gaussians of a
 /// head.

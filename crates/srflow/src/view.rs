@@ -33,7 +33,7 @@ use crate::{FollowUp, Job, Report, Watch};
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "\
 THING is one of
-  a file of Gaussians      scene.ply, .splat, .spz, .glb or .sog
+  a file of Gaussians      scene.ply, .splat, .spz, .glb, .ksplat or .sog
   a head                   builtin, avatar:DIR, flame:FILE, ... as for `srflow rasterize --head`
   a dataset                srflow:DIR, sintel-clean:DIR, ... as for `srflow eval --dataset`
   a folder                 of an avatar, a dataset of srflow, flow files, or results of `srflow eval --out DIR --save-flow DIR/flow`

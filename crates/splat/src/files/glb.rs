@@ -14,19 +14,16 @@
 
 use std::path::Path;
 
-use glam::{DMat3, DMat4, DQuat, Quat, Vec3};
+use glam::{Quat, Vec3};
 use serde_json::{Value, json};
 use srflow_files::{FileError, FileKind, FileProblem};
 
-use super::{check, problem, unit_rotation};
+use super::{check, place, problem, unit_rotation};
 use crate::gltf::{Document, GltfBuilder, POINTS, Primitive};
 use crate::{Gaussians, SH_0, sh};
 
 const EXTENSION: &str = "KHR_gaussian_splatting";
 const COLOR_SPACE: &str = "srgb_rec709_display";
-
-/// How much the axes of a node may differ in length, and from right angles.
-const TOLERANCE: f64 = 1e-4;
 
 /// Reads all Gaussians of the scene, in its coordinates.
 pub(super) fn read(path: &Path) -> Result<Gaussians, FileError> {
@@ -148,36 +145,6 @@ fn names(sh_degree: usize) -> impl Iterator<Item = (usize, usize)> {
 
 fn coefficient(degree: usize, number: usize) -> String {
     format!("SH_DEGREE_{degree}_COEF_{number}")
-}
-
-/// Moves Gaussians from the coordinates of a node to those of the scene.
-fn place(gaussians: &mut Gaussians, global: DMat4) -> Result<(), FileProblem> {
-    if global == DMat4::IDENTITY {
-        return Ok(());
-    }
-    let axes = DMat3::from_mat4(global);
-    let scale = axes.x_axis.length();
-    let rotation = axes * (1.0 / scale);
-    let apart = rotation.transpose() * rotation - DMat3::IDENTITY;
-    let is_rigid = apart.to_cols_array().iter().all(|entry| entry.abs() <= TOLERANCE);
-    if !(is_rigid && rotation.determinant() > 0.0) {
-        let expected =
-            "a rotation, a translation and one scale for all axes, which keep the Gaussians' shapes";
-        return Err(problem("node", expected, "other axes"));
-    }
-    let turn = DQuat::from_mat3(&rotation).normalize();
-    for position in &mut gaussians.positions {
-        *position = global.transform_point3(position.as_dvec3()).as_vec3();
-    }
-    for size in &mut gaussians.scales {
-        *size = (size.as_dvec3() * scale).as_vec3();
-    }
-    for own in &mut gaussians.rotations {
-        *own = (turn * own.as_dquat()).normalize().as_quat();
-    }
-    sh::rotate(gaussians.sh_degree, &mut gaussians.sh, DMat3::from_quat(turn));
-    let finite = gaussians.positions.iter().chain(&gaussians.scales).all(|vector| vector.is_finite());
-    if finite { Ok(()) } else { Err(problem("node", "Gaussians at finite positions", "others")) }
 }
 
 impl GltfBuilder {

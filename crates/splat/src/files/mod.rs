@@ -1,6 +1,7 @@
 //! Files of 3D Gaussians: a table with one line per format. Each format is one file in this folder.
 
 mod glb;
+mod ksplat;
 mod ply;
 mod sog;
 mod splat;
@@ -11,10 +12,10 @@ use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
 
-use glam::{Quat, Vec3};
+use glam::{DMat3, DMat4, DQuat, Quat, Vec3};
 use srflow_files::{FileError, FileProblem};
 
-use crate::Gaussians;
+use crate::{Gaussians, sh};
 
 pub use ply::{read_bound_ply, read_ply, write_bound_ply, write_ply};
 
@@ -70,7 +71,7 @@ impl FromStr for Up {
 srflow_core::serialize_as_text!(Up);
 
 /// The formats. The first is that of files with any other extension.
-pub static SPLAT_FORMATS: [SplatFormat; 5] = [
+pub static SPLAT_FORMATS: [SplatFormat; 6] = [
     SplatFormat {
         extension: "ply",
         up: None,
@@ -106,6 +107,14 @@ pub static SPLAT_FORMATS: [SplatFormat; 5] = [
         read: glb::read,
         write: Some(glb::write),
     },
+    SplatFormat {
+        extension: "ksplat",
+        up: None,
+        keeps_order: false,
+        loses: None,
+        read: ksplat::read,
+        write: None,
+    },
     SplatFormat { extension: "sog", up: None, keeps_order: false, loses: None, read: sog::read, write: None },
 ];
 
@@ -121,7 +130,7 @@ impl SplatFormat {
         self.write.is_some()
     }
 
-    /// All extensions, for messages: `.ply, .splat, .spz, .glb, .sog`.
+    /// All extensions, for messages: `.ply, .splat, .spz, .glb, .ksplat, .sog`.
     pub fn extensions() -> String {
         Self::listed(|_| true)
     }
@@ -181,6 +190,72 @@ fn room_for(count: u64, sh_degree: usize) -> Result<Gaussians, FileProblem> {
         Some(()) => Ok(gaussians),
         None => Err(problem("number of Gaussians", "memory for them", count)),
     }
+}
+
+/// Gaussians of a file with numbers that are not finite.
+#[derive(Debug, Default)]
+struct Invisible(usize);
+
+impl Invisible {
+    /// Appends one. It keeps its place, so that those of two files correspond, and lies where the one before is, so that the
+    /// extent of the scene stays.
+    fn push(&mut self, to: &mut Gaussians) {
+        to.positions.push(to.positions.last().copied().unwrap_or_default());
+        to.scales.push(Vec3::ZERO);
+        to.rotations.push(Quat::IDENTITY);
+        to.opacities.push(0.0);
+        to.sh.extend(std::iter::repeat_n([0.0; 3], to.sh_len()));
+        self.0 += 1;
+    }
+
+    /// Notes their number, if there are any.
+    fn note(&self, path: &Path, all: &Gaussians) {
+        if self.0 > 0 {
+            let (path, all) = (path.display(), all.len());
+            log::warn!("{path}: {} of {all} Gaussians hold no numbers and are invisible", self.0);
+        }
+    }
+}
+
+/// How much axes may differ in length, and from right angles.
+const TOLERANCE: f64 = 1e-4;
+
+/// Moves Gaussians to other coordinates; `to_from_own` may mirror them.
+fn place(gaussians: &mut Gaussians, to_from_own: DMat4) -> Result<(), FileProblem> {
+    if to_from_own == DMat4::IDENTITY {
+        return Ok(());
+    }
+    let axes = DMat3::from_mat4(to_from_own);
+    let scale = axes.x_axis.length();
+    let axes = axes * (1.0 / scale);
+    let apart = axes.transpose() * axes - DMat3::IDENTITY;
+    if !apart.to_cols_array().iter().all(|entry| entry.abs() <= TOLERANCE) {
+        let expected =
+            "a rotation, a translation and one scale for all axes, which keep the Gaussians' shapes";
+        return Err(problem("coordinates", expected, "other axes"));
+    }
+    for position in &mut gaussians.positions {
+        *position = to_from_own.transform_point3(position.as_dvec3()).as_vec3();
+    }
+    for size in &mut gaussians.scales {
+        *size = (size.as_dvec3() * scale).as_vec3();
+    }
+    // A mirror image is one along z, turned.
+    let mut turn = axes;
+    if axes.determinant() < 0.0 {
+        turn.z_axis = -turn.z_axis;
+        for own in &mut gaussians.rotations {
+            *own = Quat::from_xyzw(-own.x, -own.y, own.z, own.w);
+        }
+        sh::mirror_z(gaussians.sh_degree, &mut gaussians.sh);
+    }
+    let turn = DQuat::from_mat3(&turn).normalize();
+    for own in &mut gaussians.rotations {
+        *own = (turn * own.as_dquat()).normalize().as_quat();
+    }
+    sh::rotate(gaussians.sh_degree, &mut gaussians.sh, DMat3::from_quat(turn));
+    let finite = gaussians.positions.iter().chain(&gaussians.scales).all(|vector| vector.is_finite());
+    if finite { Ok(()) } else { Err(problem("coordinates", "Gaussians at finite positions", "others")) }
 }
 
 /// Checks what every writer relies on.

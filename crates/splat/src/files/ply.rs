@@ -13,11 +13,11 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
-use glam::{Quat, Vec3};
+use glam::Vec3;
 use srflow_core::{excerpt, excerpts};
 use srflow_files::{FileError, FileKind, FileProblem, open_file, write_atomically};
 
-use super::{check, problem, room_for, unit_rotation};
+use super::{Invisible, check, problem, room_for, unit_rotation};
 use crate::{Gaussians, sh};
 use header::{Body, Element, Header};
 
@@ -58,14 +58,7 @@ fn read(path: &Path, bound: bool) -> Result<(Gaussians, Vec<u32>), FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
     let (file, len) = open_file(path, FileKind::Splats)?;
     let read = decode(&mut BufReader::with_capacity(1 << 18, file), len, bound).map_err(in_file)?;
-    if read.invisible > 0 {
-        let all = read.gaussians.len();
-        log::warn!(
-            "{}: {} of {all} Gaussians hold no numbers and are invisible",
-            path.display(),
-            read.invisible
-        );
-    }
+    read.invisible.note(path, &read.gaussians);
     Ok((read.gaussians, read.triangles))
 }
 
@@ -74,8 +67,7 @@ fn read(path: &Path, bound: bool) -> Result<(Gaussians, Vec<u32>), FileError> {
 struct Decoded {
     gaussians: Gaussians,
     triangles: Vec<u32>,
-    /// Gaussians with numbers that are not finite.
-    invisible: usize,
+    invisible: Invisible,
 }
 
 /// Writes 3D Gaussians, binary little-endian in the reference's order, whole or not at all
@@ -218,13 +210,7 @@ impl Layout {
             || raw.iter().any(|raw| raw.is_nan())
             || !sh.clone().flatten().all(f32::is_finite)
         {
-            // Where the one before is, so that the extent of the scene stays.
-            gaussians.positions.push(gaussians.positions.last().copied().unwrap_or_default());
-            gaussians.scales.push(Vec3::ZERO);
-            gaussians.rotations.push(Quat::IDENTITY);
-            gaussians.opacities.push(0.0);
-            gaussians.sh.extend(self.sh.iter().map(|_| [0.0; 3]));
-            *invisible += 1;
+            invisible.push(gaussians);
             return Ok(());
         }
         let scale = raw.map(|raw| libm::exp(f64::from(raw)) as f32);

@@ -17,7 +17,7 @@ use std::path::Path;
 use glam::Vec3;
 use srflow_files::{FileError, FileKind, FileProblem, open_file, write_atomically};
 
-use super::{check, problem, room_for, unit_rotation};
+use super::{Invisible, check, problem, room_for, unit_rotation};
 use crate::{Gaussians, SH_0};
 
 const BYTES: usize = 32;
@@ -25,7 +25,11 @@ const BYTES: usize = 32;
 /// Reads a `.splat` file.
 pub(super) fn read(path: &Path) -> Result<Gaussians, FileError> {
     let (file, len) = open_file(path, FileKind::Splats)?;
-    decode(&mut BufReader::with_capacity(1 << 18, file), len).map_err(|problem| problem.in_file(path))
+    let mut invisible = Invisible::default();
+    let gaussians = decode(&mut BufReader::with_capacity(1 << 18, file), len, &mut invisible);
+    let gaussians = gaussians.map_err(|problem| problem.in_file(path))?;
+    invisible.note(path, &gaussians);
+    Ok(gaussians)
 }
 
 /// Writes a `.splat` file.
@@ -34,7 +38,11 @@ pub(super) fn write(path: &Path, gaussians: &Gaussians) -> Result<(), FileError>
     write_atomically(path, |writer| encode(gaussians, writer))
 }
 
-pub(super) fn decode(reader: &mut impl Read, len: u64) -> Result<Gaussians, FileProblem> {
+pub(super) fn decode(
+    reader: &mut impl Read,
+    len: u64,
+    invisible: &mut Invisible,
+) -> Result<Gaussians, FileProblem> {
     if len == 0 || !len.is_multiple_of(BYTES as u64) {
         let expected = "a multiple of 32 bytes, one Gaussian each (.splat of antimatter15)";
         return Err(problem("file size", expected, format!("{len} bytes")));
@@ -44,21 +52,26 @@ pub(super) fn decode(reader: &mut impl Read, len: u64) -> Result<Gaussians, File
     let mut bytes = [0; BYTES];
     for _ in 0..count {
         reader.read_exact(&mut bytes).map_err(FileProblem::reading)?;
-        push(&mut gaussians, &bytes)?;
+        push(&mut gaussians, &bytes, invisible)?;
     }
     Ok(gaussians)
 }
 
-fn push(gaussians: &mut Gaussians, bytes: &[u8; BYTES]) -> Result<(), FileProblem> {
+fn push(
+    gaussians: &mut Gaussians,
+    bytes: &[u8; BYTES],
+    invisible: &mut Invisible,
+) -> Result<(), FileProblem> {
     let index = gaussians.len();
     let number = |at: usize| f32::from_le_bytes(std::array::from_fn(|byte| bytes[4 * at + byte]));
     let position = Vec3::new(number(0), number(1), number(2));
-    if !position.is_finite() {
-        return Err(problem("position", "finite numbers", format!("{position} of Gaussian {index}")));
-    }
     let scale = Vec3::new(number(3), number(4), number(5));
-    if !scale.is_finite() || !scale.cmpge(Vec3::ZERO).all() {
-        let expected = "finite lengths, not negative (is it a .splat of antimatter15?)";
+    if !position.is_finite() || !scale.is_finite() {
+        invisible.push(gaussians);
+        return Ok(());
+    }
+    if !scale.cmpge(Vec3::ZERO).all() {
+        let expected = "lengths, not negative (is it a .splat of antimatter15?)";
         return Err(problem("scale", expected, format!("{scale} of Gaussian {index}")));
     }
     let color = [24, 25, 26].map(|at| ((f64::from(bytes[at]) / 255.0 - 0.5) / SH_0) as f32);

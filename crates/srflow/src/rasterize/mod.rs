@@ -57,7 +57,7 @@ CAM is a file of cameras:
   w2c is camera from world, a 4x4 matrix by rows.
 FILE is a file of 3D Gaussian Splatting (spherical harmonics of degree 0 to 3), in the world of the cameras.")]
 pub struct RasterizeJob {
-    /// Gaussians of this frame: .ply, .splat, .spz, .glb or .sog
+    /// Gaussians of this frame: .ply, .splat, .spz, .glb, .ksplat or .sog
     #[arg(value_name = "FILE", required_unless_present = "head", conflicts_with = "head")]
     #[serde(default)]
     pub gaussians: Option<PathBuf>,

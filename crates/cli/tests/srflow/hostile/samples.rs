@@ -108,9 +108,12 @@ pub(super) fn samples(folder: &Path) -> Vec<Sample> {
     let rasterize = &["rasterize", "FILE", "--camera", "DIR/camera.json", "--out", "DIR/out", "--force"];
     let ply = fs::read(folder.join("a.ply")).unwrap();
     samples.push(Sample { name: "ply", bytes: ply, file: "b.ply", arguments: rasterize });
-    for (name, golden, file) in
-        [("compressed ply", "tiny.compressed.ply", "b.ply"), ("sog", "tiny.sog", "b.sog")]
-    {
+    for (name, golden, file) in [
+        ("compressed ply", "tiny.compressed.ply", "b.ply"),
+        ("sog", "tiny.sog", "b.sog"),
+        ("ksplat", "tiny-1.ksplat", "b.ksplat"),
+        ("spz of Zstandard", "tiny-v4-lfu.spz", "b.spz"),
+    ] {
         let bytes = fs::read(root().join("crates/splat/src/files/golden").join(golden)).unwrap();
         samples.push(Sample { name, bytes, file, arguments: rasterize });
     }

@@ -115,7 +115,7 @@ fn message(bytes: &[u8]) -> String {
 fn errors_say_what_was_expected_and_found() {
     assert_eq!(
         message(b"PNG\n"),
-        "magic: expected `ply` on the first line (formats by ending: .ply, .splat, .spz, .glb, .sog), found \"PNG\""
+        "magic: expected `ply` on the first line (formats by ending: .ply, .splat, .spz, .glb, .ksplat, .sog), found \"PNG\""
     );
     let text = String::from_utf8(foreign("ascii")).unwrap();
     let lie = text.replace("element vertex 1\n", "element vertex 9000000000000000000\n");
@@ -168,14 +168,14 @@ fn infinite_opacities_and_scales_are_values_and_numbers_that_are_none_make_a_gau
     };
     for (name, value, opacity) in [("opacity", f32::INFINITY, 1.0), ("opacity", f32::NEG_INFINITY, 0.0)] {
         let read = with(name, value);
-        assert_eq!((read.gaussians.opacities[1], read.invisible), (opacity, 0));
+        assert_eq!((read.gaussians.opacities[1], read.invisible.0), (opacity, 0));
     }
     let flat = with("scale_2", f32::NEG_INFINITY);
-    assert_eq!((flat.gaussians.scales[1].z, flat.invisible), (0.0, 0));
+    assert_eq!((flat.gaussians.scales[1].z, flat.invisible.0), (0.0, 0));
     assert_eq!(flat.gaussians.opacities[1].to_bits(), with("nx", 1.0).gaussians.opacities[1].to_bits());
     for name in ["x", "opacity", "scale_0", "rot_3", "f_dc_1", "f_rest_8"] {
         let Decoded { gaussians, invisible, .. } = with(name, f32::NAN);
-        assert_eq!((gaussians.len(), gaussians.opacities[1], invisible), (3, 0.0, 1), "{name}");
+        assert_eq!((gaussians.len(), gaussians.opacities[1], invisible.0), (3, 0.0, 1), "{name}");
         assert_eq!(gaussians.positions[0], scene.positions[0]);
         assert!(super::super::check(&gaussians).is_ok(), "{name}");
     }

@@ -11,6 +11,7 @@ mod json_lines;
 mod open;
 mod orientation;
 mod parse_words;
+pub mod pickle;
 mod point_table;
 mod run_folder;
 mod run_lock;

@@ -19,7 +19,7 @@ mod model_source;
 pub mod motion;
 mod obj;
 mod parameters;
-mod pickle;
+mod pickled_arrays;
 mod regions;
 mod skeleton_names;
 mod triangle_frame;

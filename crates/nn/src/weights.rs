@@ -37,8 +37,16 @@ pub enum WeightsError {
         .path.display()
     )]
     Broken { path: PathBuf, format: Format, problem: String },
-    #[error("{}: contains no floating-point tensors, only integers such as counters and indices; pass the file that the network was saved to", .path.display())]
-    Empty { path: PathBuf },
+    #[error(
+        "{}: expected tensors of floating-point numbers (16 to 64 bits), found {found}; pass the file that the network's \
+         state_dict was saved to",
+        .path.display()
+    )]
+    Empty {
+        path: PathBuf,
+        /// Counts of what it holds instead.
+        found: String,
+    },
     /// Names or shapes of the parameters differ from those of the network.
     #[error("{}: {difference}{hint}", .path.display())]
     Mismatch {

@@ -20,7 +20,7 @@ use self::teeth::Teeth;
 pub(crate) use self::teeth::FLAME_VERTICES;
 use crate::HeadError;
 use crate::obj::{Obj, read_obj};
-use crate::pickle::Pickle;
+use crate::pickled_arrays::PickledArrays;
 use crate::regions::{divide_skin, mark_parts};
 use crate::unit_fit::fitted_units;
 use crate::unit_table::{UNITS_NAME, read_units};
@@ -248,7 +248,7 @@ fn masks(model: &Path, vertices: usize) -> Result<BTreeMap<String, Vec<u32>>, He
     if !path.exists() {
         return Ok(BTreeMap::new());
     }
-    let file = Pickle::open(&path)?;
+    let file = PickledArrays::open(&path)?;
     let group = |name: String| {
         let mut group = indices(&path, &name, &file.array(&name)?.values, vertices)?;
         group.sort_unstable();
@@ -301,7 +301,7 @@ fn texture(path: &Path, mesh: &Obj, triangles: &[[u32; 3]]) -> Result<Option<Tex
 fn landmarks(model: &Path, triangles: usize) -> Result<Vec<(u32, Vec3)>, HeadError> {
     let paths = LANDMARKS.map(|name| model.with_file_name(name));
     let Some(path) = paths.into_iter().find(|path| path.exists()) else { return Ok(Vec::new()) };
-    let file = Pickle::open(&path)?;
+    let file = PickledArrays::open(&path)?;
     let (faces, weights) = (file.array("full_lmk_faces_idx")?, file.array("full_lmk_bary_coords")?);
     if weights.values.len() != 3 * faces.values.len() {
         let expected = format!("3 for each of the {} landmarks", faces.values.len());

@@ -2,19 +2,19 @@ use std::path::Path;
 
 use srflow_files::{Array, FileError, FileProblem, Npz};
 
-use crate::pickle::{Matrix, Pickle};
+use crate::pickled_arrays::{Matrix, PickledArrays};
 
 /// A file of named arrays.
 pub(super) enum Source {
     Npz(Npz),
-    Pickle(Pickle),
+    Pickle(PickledArrays),
 }
 
 impl Source {
     /// An archive of NumPy by the extension `.npz`, else a pickle.
     pub(super) fn open(path: &Path) -> Result<Self, FileError> {
         let is_npz = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npz"));
-        Ok(if is_npz { Self::Npz(Npz::open(path)?) } else { Self::Pickle(Pickle::open(path)?) })
+        Ok(if is_npz { Self::Npz(Npz::open(path)?) } else { Self::Pickle(PickledArrays::open(path)?) })
     }
 
     pub(super) fn path(&self) -> &Path {

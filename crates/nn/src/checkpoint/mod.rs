@@ -4,13 +4,13 @@
 //! size in it is checked against the length of the file before memory is allocated.
 
 mod burnpack;
-mod hyper_parameters;
 mod keras;
 mod naming;
 mod pytorch;
 mod pytorch_writer;
 mod safetensors;
 mod searchable_text;
+mod sharded;
 mod tensorflow;
 
 pub use pytorch_writer::save_pytorch;
@@ -54,6 +54,8 @@ pub enum Format {
     Tensorflow,
     /// From Keras, in HDF5.
     Keras,
+    /// An index of several files (`.index.json`) from Hugging Face's libraries.
+    Sharded,
 }
 
 impl fmt::Display for Format {
@@ -65,6 +67,7 @@ impl fmt::Display for Format {
             Self::Burnpack => "burnpack",
             Self::Tensorflow => "TensorFlow checkpoint (.index)",
             Self::Keras => "Keras (HDF5)",
+            Self::Sharded => "index of several files (.index.json)",
         })
     }
 }
@@ -85,6 +88,8 @@ pub struct Checkpoint {
 struct Contents {
     tensors: BTreeMap<String, StoredTensor>,
     hyper_parameters: BTreeMap<String, f64>,
+    /// How many arrays of other kinds than tensors of floating-point numbers there are, by kind.
+    others: BTreeMap<String, usize>,
     /// Bytes of the other files of a checkpoint with several files.
     shard_bytes: u64,
 }
@@ -114,7 +119,7 @@ enum StoredBytes {
         start: u64,
         len: usize,
     },
-    Pytorch(pytorch_reader::Tensor),
+    Pytorch(pytorch::StridedTensor),
     Tensorflow {
         file: Rc<File>,
         start: u64,
@@ -133,31 +138,17 @@ impl Checkpoint {
     /// # Errors
     /// When the file cannot be read, is not a checkpoint or a broken one, or contains no floating-point tensors.
     pub fn open(path: &Path) -> Result<Self, WeightsError> {
-        let read_error = |error| WeightsError::Read { path: path.to_owned(), error };
-        let (mut file, len) = open_file(path, FileKind::Checkpoint)?;
-        let mut start = Vec::new();
-        (&mut file).take(MAGIC_BYTES).read_to_end(&mut start).map_err(read_error)?;
-        let mut end = Vec::new();
-        file.seek(SeekFrom::Start(len.saturating_sub(END_BYTES))).map_err(read_error)?;
-        (&mut file).take(END_BYTES).read_to_end(&mut end).map_err(read_error)?;
-        let Some(format) = format_of(&start, &end) else {
-            let found = describe_file(path, &start);
-            return Err(WeightsError::Unrecognized { path: path.to_owned(), found });
-        };
+        let (file, len, format) = recognized(path)?;
         let broken = |problem: String| WeightsError::broken(path, format, &problem);
-        let found = match format {
-            Format::PytorchZip | Format::PytorchLegacy => pytorch::contents(path, format, len),
-            Format::Safetensors => safetensors::contents(file, len),
-            Format::Burnpack => burnpack::tensors(file, len).map(Contents::from),
-            Format::Tensorflow => tensorflow::contents(path, file, len),
-            Format::Keras => keras::contents(file, len),
-        };
-        let Contents { tensors, hyper_parameters, shard_bytes } = found.map_err(broken)?;
+        let Contents { tensors, hyper_parameters, others, shard_bytes } =
+            contents_of(path, file, len, format)?;
         let named = naming::reference_names(tensors);
         if named.tensors.is_empty() {
-            return Err(WeightsError::Empty { path: path.to_owned() });
+            let kinds: Vec<String> = others.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
+            let found = if kinds.is_empty() { "none".to_owned() } else { kinds.join(", ") };
+            return Err(WeightsError::Empty { path: path.to_owned(), found });
         }
-        let claimed = named.tensors.values().map(StoredTensor::byte_len).fold(0, u64::saturating_add);
+        let claimed = named.tensors.values().map(StoredTensor::claim).fold(0, u64::saturating_add);
         let stored = len.saturating_add(shard_bytes);
         if claimed > stored.saturating_mul(MAX_CLAIM_RATIO) {
             return Err(broken(format!("its tensors claim {claimed} bytes, the file has {stored}")));
@@ -226,9 +217,41 @@ impl Checkpoint {
     }
 }
 
+/// Opens a file and recognizes its format. Returns its length too.
+fn recognized(path: &Path) -> Result<(File, u64, Format), WeightsError> {
+    let read_error = |error| WeightsError::Read { path: path.to_owned(), error };
+    let (mut file, len) = open_file(path, FileKind::Checkpoint)?;
+    let mut start = Vec::new();
+    (&mut file).take(MAGIC_BYTES).read_to_end(&mut start).map_err(read_error)?;
+    let mut end = Vec::new();
+    file.seek(SeekFrom::Start(len.saturating_sub(END_BYTES))).map_err(read_error)?;
+    (&mut file).take(END_BYTES).read_to_end(&mut end).map_err(read_error)?;
+    match format_of(path, &start, &end) {
+        Some(format) => Ok((file, len, format)),
+        None => {
+            let found = describe_file(path, &start);
+            Err(WeightsError::Unrecognized { path: path.to_owned(), found })
+        }
+    }
+}
+
+/// The contents of a recognized file.
+fn contents_of(path: &Path, file: File, len: u64, format: Format) -> Result<Contents, WeightsError> {
+    let found = match format {
+        Format::PytorchZip => pytorch::zip_contents(file, len),
+        Format::PytorchLegacy => pytorch::legacy_contents(file, len),
+        Format::Safetensors => safetensors::contents(file, len),
+        Format::Burnpack => burnpack::tensors(file, len).map(Contents::from),
+        Format::Tensorflow => tensorflow::contents(path, file, len),
+        Format::Keras => keras::contents(file, len),
+        Format::Sharded => return sharded::contents(path, file),
+    };
+    found.map_err(|problem| WeightsError::broken(path, format, &problem))
+}
+
 impl From<BTreeMap<String, StoredTensor>> for Contents {
     fn from(tensors: BTreeMap<String, StoredTensor>) -> Self {
-        Self { tensors, hyper_parameters: BTreeMap::new(), shard_bytes: 0 }
+        Self { tensors, hyper_parameters: BTreeMap::new(), others: BTreeMap::new(), shard_bytes: 0 }
     }
 }
 
@@ -240,15 +263,9 @@ fn read_all(
 ) -> Result<Parameters, WeightsError> {
     let read = |(name, tensor): (String, StoredTensor)| {
         let data = tensor.read().map_err(|error| match error.kind() {
-            io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => match format {
-                // Errors of the PyTorch reader already name the tensor.
-                Format::PytorchZip | Format::PytorchLegacy => {
-                    WeightsError::broken(path, format, &error.to_string())
-                }
-                Format::Safetensors | Format::Burnpack | Format::Tensorflow | Format::Keras => {
-                    WeightsError::broken(path, format, &format!("{name}: {error}"))
-                }
-            },
+            io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => {
+                WeightsError::broken(path, format, &format!("{name}: {error}"))
+            }
             _ => WeightsError::Read { path: path.to_owned(), error },
         })?;
         Ok((name, data))
@@ -266,6 +283,14 @@ impl StoredTensor {
     fn byte_len(&self) -> u64 {
         let numbers = self.shape.iter().map(|&size| size as u64).fold(1, u64::saturating_mul);
         numbers.saturating_mul(self.dtype.size() as u64)
+    }
+
+    /// Bytes that reading it may take.
+    fn claim(&self) -> u64 {
+        match &self.bytes {
+            StoredBytes::Pytorch(tensor) => self.byte_len().max(tensor.read_bytes()),
+            _ => self.byte_len(),
+        }
     }
 
     fn read(self) -> io::Result<TensorData> {
@@ -297,8 +322,8 @@ fn read_range(mut file: &File, start: u64, len: usize) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Recognizes a format by the first and last bytes of a file.
-fn format_of(start: &[u8], end: &[u8]) -> Option<Format> {
+/// Recognizes a format by the first and last bytes of a file. That of an index is plain JSON, known by its name.
+fn format_of(path: &Path, start: &[u8], end: &[u8]) -> Option<Format> {
     if start.starts_with(b"PK\x03\x04") || start.starts_with(b"PK\x05\x06") {
         Some(Format::PytorchZip)
     } else if start.starts_with(&burn_pack::MAGIC_NUMBER.to_le_bytes()) {
@@ -308,6 +333,8 @@ fn format_of(start: &[u8], end: &[u8]) -> Option<Format> {
     } else if start.get(8) == Some(&b'{') {
         // Eight bytes of length, then JSON. No pickle has a brace at this position.
         Some(Format::Safetensors)
+    } else if path.as_os_str().as_encoded_bytes().ends_with(b".index.json") {
+        Some(Format::Sharded)
     } else if start.get(257..) == Some(b"ustar") {
         None
     } else if start.first() == Some(&0x80) {

@@ -41,20 +41,26 @@ pub(super) fn contents(mut file: File, len: u64) -> Result<Contents, String> {
         return Err(format!("its tensors claim {claimed} bytes, the file has {left} left"));
     }
     let file = Rc::new(file);
+    let mut others = BTreeMap::new();
     let found = table.tensors().into_iter().filter_map(|(name, info)| {
-        let dtype = dtype(info.dtype)?;
+        let Some(dtype) = dtype(info.dtype) else {
+            *others.entry(format!("tensors of {:?}", info.dtype)).or_default() += 1;
+            return None;
+        };
         let (start, end) = info.data_offsets;
         let start_in_file = LENGTH + table_len + start as u64;
         let bytes = StoredBytes::Range { file: file.clone(), start: start_in_file, len: end - start };
         Some((name, StoredTensor { dtype, shape: info.shape.clone(), bytes }))
     });
+    let tensors: BTreeMap<_, _> = found.collect();
     let about = table.metadata().as_ref().and_then(|metadata| metadata.get(ABOUT));
     let about: Option<About> = about.and_then(|about| serde_json::from_str(about).ok());
     let numbers =
         about.into_iter().flat_map(|about| about.settings.into_iter().chain(about.hyper_parameters));
     Ok(Contents {
+        others,
         hyper_parameters: numbers.map(|(name, number)| (name, number as f64)).collect(),
-        ..Contents::from(found.collect::<BTreeMap<_, _>>())
+        ..Contents::from(tensors)
     })
 }
 

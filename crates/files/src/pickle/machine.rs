@@ -2,9 +2,8 @@
 
 use std::collections::HashMap;
 
-use srflow_files::FileProblem;
-
-use super::*;
+use super::{Id, MAX_OPERATIONS, Value};
+use crate::FileProblem;
 
 /// Longer byte strings stay in the file.
 const SHORT: usize = 256;
@@ -25,16 +24,17 @@ impl<'a> Machine<'a> {
         Self { bytes, at, ..Self::default() }
     }
 
-    pub(super) fn run(mut self) -> Result<(Vec<Value>, Id), FileProblem> {
+    /// The values, the last one on the stack, and the byte after the pickle.
+    pub(super) fn run(mut self) -> Result<(Vec<Value>, Id, usize), FileProblem> {
         for _ in 0..MAX_OPERATIONS {
             let operation = self.byte()?;
             if operation == b'.' {
                 let root = self.pop()?;
-                return Ok((self.values, root));
+                return Ok((self.values, root, self.at));
             }
             self.step(operation)?;
         }
-        Err(field("pickle", format!("at most {MAX_OPERATIONS} operations"), "more"))
+        Err(FileProblem::field("pickle", format!("at most {MAX_OPERATIONS} operations"), "more"))
     }
 
     fn step(&mut self, operation: u8) -> Result<(), FileProblem> {
@@ -142,11 +142,11 @@ impl<'a> Machine<'a> {
             // REDUCE and NEWOBJ
             b'R' | 0x81 => {
                 let (arguments, class) = (self.pop()?, self.pop()?);
-                self.push(Value::Object { class, arguments, state: None });
+                self.push_object(class, arguments);
             }
             0x92 => {
                 let (_, arguments, class) = (self.pop()?, self.pop()?, self.pop()?); // keywords are not kept
-                self.push(Value::Object { class, arguments, state: None });
+                self.push_object(class, arguments);
             }
             b'i' => {
                 let (module, name) = (self.line()?.to_owned(), self.line()?.to_owned());
@@ -167,23 +167,37 @@ impl<'a> Machine<'a> {
                     *kept = Some(state);
                 }
             }
+            b'P' => {
+                let key = self.line()?.as_bytes().to_vec();
+                self.push(Value::Bytes(key));
+                let key = self.pop()?;
+                self.push(Value::Elsewhere(key));
+            }
+            b'Q' => {
+                let key = self.pop()?;
+                self.push(Value::Elsewhere(key));
+            }
             other => {
                 let found = format!("operation {other:#04x} at byte {}", self.at.saturating_sub(1));
-                return Err(field("pickle", "operations of plain data", found));
+                return Err(FileProblem::field("pickle", "operations of plain data", found));
             }
         }
         Ok(())
     }
 
     fn broken(&self, expected: &str) -> FileProblem {
-        field("pickle", format!("{expected} before byte {}", self.at), "a broken or truncated pickle")
+        FileProblem::field(
+            "pickle",
+            format!("{expected} before byte {}", self.at),
+            "a broken or truncated pickle",
+        )
     }
 
     fn take(&mut self, count: usize) -> Result<&[u8], FileProblem> {
         let end = self.at.checked_add(count).filter(|end| *end <= self.bytes.len());
         let Some(end) = end else {
             let found = format!("{} bytes left: the file is truncated", self.bytes.len() - self.at);
-            return Err(field("pickle", format!("{count} bytes at byte {}", self.at), found));
+            return Err(FileProblem::field("pickle", format!("{count} bytes at byte {}", self.at), found));
         };
         let taken = &self.bytes[self.at..end];
         self.at = end;
@@ -228,8 +242,12 @@ impl<'a> Machine<'a> {
     fn push_instance(&mut self, class: Id, arguments: Vec<Id>) -> Result<(), FileProblem> {
         self.push(Value::Tuple(arguments));
         let arguments = self.pop()?;
-        self.push(Value::Object { class, arguments, state: None });
+        self.push_object(class, arguments);
         Ok(())
+    }
+
+    fn push_object(&mut self, class: Id, arguments: Id) {
+        self.push(Value::Object { class, arguments, entries: Vec::new(), state: None });
     }
 
     fn push_int<const N: usize>(&mut self) -> Result<(), FileProblem> {
@@ -328,10 +346,10 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// Adds keys and values to the dictionary on top of the stack; those of other objects are not kept.
+    /// Adds keys and values to the dictionary or object on top of the stack.
     fn set(&mut self, items: &[Id]) -> Result<(), FileProblem> {
         let top = *self.stack.last().ok_or_else(|| self.broken("a dictionary"))?;
-        if let Some(Value::Dict(entries)) = self.values.get_mut(top) {
+        if let Some(Value::Dict(entries) | Value::Object { entries, .. }) = self.values.get_mut(top) {
             entries.extend(pairs(items));
         }
         Ok(())
@@ -355,7 +373,7 @@ fn pairs(items: &[Id]) -> Vec<(Id, Id)> {
 }
 
 /// Python's escapes in a string literal; unknown ones stay as they are.
-pub(super) fn unescaped(text: &[u8]) -> Vec<u8> {
+fn unescaped(text: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(text.len());
     let mut rest = text;
     while let [first, after @ ..] = rest {
@@ -383,4 +401,14 @@ pub(super) fn unescaped(text: &[u8]) -> Vec<u8> {
         rest = &rest[used..];
     }
     bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn escapes_of_python_are_read() {
+        assert_eq!(unescaped(br"a\n\x41\\\'\t\u00e9\q\x4"), "a\nA\\'\té\\q\\x4".as_bytes());
+    }
 }

@@ -1,0 +1,49 @@
+//! The numeric hyper-parameters that Lightning saves.
+
+use std::collections::BTreeMap;
+
+use srflow_files::pickle::{Id, Pickle, Value};
+
+/// Key of the dictionary in a Lightning checkpoint.
+const KEY: &str = "hyper_parameters";
+/// Most dictionaries inside one another.
+const MAX_DEPTH: usize = 4;
+
+/// Numbers by name, of dictionaries inside the dictionary too: the first one counts. Booleans are not included.
+pub(super) fn numbers(pickle: &Pickle) -> BTreeMap<String, f64> {
+    let mut numbers = BTreeMap::new();
+    if let Some(dictionary) = pickle.entry(pickle.root(), KEY) {
+        let mut left = usize::from(u16::MAX);
+        collect(pickle, dictionary, MAX_DEPTH, &mut left, &mut numbers);
+    }
+    numbers
+}
+
+/// `left` dictionaries and entries are looked at.
+fn collect(
+    pickle: &Pickle,
+    dictionary: Id,
+    depth: usize,
+    left: &mut usize,
+    numbers: &mut BTreeMap<String, f64>,
+) {
+    // An `argparse.Namespace` keeps its entries as its state.
+    let state = pickle.object(dictionary).and_then(|(_, _, state)| state);
+    let entries = [Some(dictionary), state].into_iter().flatten().flat_map(|of| pickle.entries(of));
+    for (key, value) in entries {
+        let Some(rest) = left.checked_sub(1) else { return };
+        *left = rest;
+        let number = match pickle.value(*value) {
+            Some(Value::Int(integer)) => *integer as f64,
+            Some(Value::Float(number)) => *number,
+            Some(Value::Dict(_) | Value::Object { .. }) if depth > 1 => {
+                collect(pickle, *value, depth - 1, left, numbers);
+                continue;
+            }
+            _ => continue,
+        };
+        if let Some(name) = pickle.text(*key) {
+            numbers.entry(name).or_insert(number);
+        }
+    }
+}

@@ -4,8 +4,11 @@ The names are those of a block of RAFT's context encoder, whose shortcut's norm 
 """
 
 import sys
+import types
+from collections import OrderedDict, defaultdict, deque
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -55,3 +58,48 @@ lightning = {
 torch.save(lightning, folder / "lightning.ckpt")
 # A kilobyte that claims a gigabyte: one number, repeated by a stride of zero.
 torch.save({"conv1.weight": torch.zeros(1).expand(1 << 28)}, folder / "expanded.pth")
+
+
+# What else programs put beside the weights.
+class Settings(dict):
+    """As easydict.EasyDict and yacs.config.CfgNode."""
+
+
+class Names(list):
+    pass
+
+
+for container, module in [(Settings, "easydict"), (Names, "names")]:
+    container.__module__ = module
+    sys.modules[module] = types.ModuleType(module)
+    setattr(sys.modules[module], container.__name__, container)
+settings = Settings(corr_levels=4, inner=Settings(iters=12))
+settings.corr_levels = 4
+beside = {
+    "config": settings,
+    "history": defaultdict(list, loss=[1.0, 0.5]),
+    "last": deque([1, 2], maxlen=5),
+    "order": OrderedDict(a=1),
+    "names": Names(["a", "b"]),
+    "device": torch.device("cpu"),
+    "type": torch.float16,
+    "size": torch.Size([2, 3]),
+    "set": {1, 2},
+}
+torch.save({"model": OrderedDict(state), **beside}, folder / "beside.pth")
+# Arrays of other kinds alone.
+arrays = {
+    "a": np.arange(3, dtype=np.float32),
+    "b": np.float32(1.5),
+    "c": torch.zeros(2).to(torch.float8_e4m3fn),
+    "d": torch.zeros(2, dtype=torch.int64),
+    "e": torch.zeros(2, device="meta"),
+}
+torch.save(arrays, folder / "arrays.pth")
+module = Block()
+module.load_state_dict(state)
+module.register_buffer("cache", torch.zeros(2), persistent=False)
+torch.save(module, folder / "module.pt")
+torch.jit.script(module).save(folder / "script.pt")
+torch.serialization.set_crc32_options(False)
+torch.save(prefixed, folder / "without-checksums.pth")

@@ -23,7 +23,7 @@ pub enum WeightsError {
     /// The file is not a checkpoint.
     #[error(
         "{}: expected weights in a PyTorch (.pth, .pt, .ckpt), safetensors, burnpack, TensorFlow (.index) or Keras (.h5) file, \
-         found {found}",
+         or an index of several (.index.json), found {found}",
         .path.display()
     )]
     Unrecognized {

@@ -33,7 +33,8 @@ pub struct ModelsJob {}
 #[command(after_help = "Example:
   srflow models inspect skflow-things.ckpt")]
 pub struct InspectJob {
-    /// Weights: PyTorch (.pth, .pt, .ckpt), safetensors, burnpack, TensorFlow (.index) or Keras (.h5)
+    /// Weights: PyTorch (.pth, .pt, .ckpt), safetensors, burnpack, TensorFlow (.index), Keras (.h5) or an index of
+    /// several files (.index.json)
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
 }

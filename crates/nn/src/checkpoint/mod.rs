@@ -88,8 +88,8 @@ pub struct Checkpoint {
 struct Contents {
     tensors: BTreeMap<String, StoredTensor>,
     hyper_parameters: BTreeMap<String, f64>,
-    /// How many arrays of other kinds than tensors of floating-point numbers there are, by kind.
-    others: BTreeMap<String, usize>,
+    /// Names and kinds of arrays that are no tensors of floating-point numbers.
+    others: BTreeMap<String, String>,
     /// Bytes of the other files of a checkpoint with several files.
     shard_bytes: u64,
 }
@@ -144,7 +144,9 @@ impl Checkpoint {
             contents_of(path, file, len, format)?;
         let named = naming::reference_names(tensors);
         if named.tensors.is_empty() {
-            let kinds: Vec<String> = others.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
+            let mut kinds = BTreeMap::<String, usize>::new();
+            others.into_values().for_each(|kind| *kinds.entry(kind).or_default() += 1);
+            let kinds: Vec<String> = kinds.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
             let found = if kinds.is_empty() { "none".to_owned() } else { kinds.join(", ") };
             return Err(WeightsError::Empty { path: path.to_owned(), found });
         }
@@ -330,11 +332,11 @@ fn format_of(path: &Path, start: &[u8], end: &[u8]) -> Option<Format> {
         Some(Format::Burnpack)
     } else if start.starts_with(srflow_files::HDF5_MAGIC) {
         Some(Format::Keras)
+    } else if path.as_os_str().as_encoded_bytes().ends_with(b".index.json") {
+        Some(Format::Sharded)
     } else if start.get(8) == Some(&b'{') {
         // Eight bytes of length, then JSON. No pickle has a brace at this position.
         Some(Format::Safetensors)
-    } else if path.as_os_str().as_encoded_bytes().ends_with(b".index.json") {
-        Some(Format::Sharded)
     } else if start.get(257..) == Some(b"ustar") {
         None
     } else if start.first() == Some(&0x80) {

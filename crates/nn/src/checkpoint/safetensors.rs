@@ -44,7 +44,7 @@ pub(super) fn contents(mut file: File, len: u64) -> Result<Contents, String> {
     let mut others = BTreeMap::new();
     let found = table.tensors().into_iter().filter_map(|(name, info)| {
         let Some(dtype) = dtype(info.dtype) else {
-            *others.entry(format!("tensors of {:?}", info.dtype)).or_default() += 1;
+            others.insert(name.clone(), format!("tensors of {:?}", info.dtype));
             return None;
         };
         let (start, end) = info.data_offsets;

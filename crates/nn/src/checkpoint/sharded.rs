@@ -51,17 +51,14 @@ pub(super) fn contents(path: &Path, mut file: File) -> Result<Contents, WeightsE
         for name in names {
             match part.tensors.remove(name) {
                 Some(tensor) => _ = all.tensors.insert(name.to_owned(), tensor),
-                // It may be an integer.
-                None if part.others.is_empty() => {
+                None if !part.others.contains_key(name) => {
                     let (file, name) = (excerpt(file), excerpt(name));
                     return Err(broken(format!("it places {name} in {file}, which has no such tensor")));
                 }
                 None => {}
             }
         }
-        for (kind, count) in part.others {
-            *all.others.entry(kind).or_default() += count;
-        }
+        all.others.append(&mut part.others);
         all.shard_bytes = all.shard_bytes.saturating_add(len).saturating_add(part.shard_bytes);
     }
     Ok(all)

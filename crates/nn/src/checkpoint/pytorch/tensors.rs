@@ -49,8 +49,8 @@ pub(super) struct Described {
 pub(super) struct Tensors {
     /// Tensors of floating-point numbers by name, its parts joined by dots.
     pub(super) found: BTreeMap<String, Described>,
-    /// How many there are of other kinds of arrays.
-    pub(super) others: BTreeMap<String, usize>,
+    /// Kinds of the other arrays, by name.
+    pub(super) others: BTreeMap<String, String>,
 }
 
 impl Tensors {
@@ -183,19 +183,22 @@ impl Walk<'_> {
                     return Ok(true);
                 }
                 ("torch._utils._rebuild_meta_tensor_no_storage", _) => {
-                    self.count("tensors on the device meta, which have no values".to_owned());
+                    self.leave_out(name, "tensors on the device meta, which have no values".to_owned());
                     return Ok(true);
                 }
                 (function, _) if function.starts_with("numpy.") && !function.ends_with(".dtype") => {
                     let scalar = function.ends_with(".scalar");
-                    self.count(if scalar { "numbers of NumPy" } else { "arrays of NumPy" }.to_owned());
+                    self.leave_out(
+                        name,
+                        if scalar { "numbers of NumPy" } else { "arrays of NumPy" }.to_owned(),
+                    );
                     return Ok(true);
                 }
                 (function, _)
                     if function.starts_with("torch._utils._rebuild")
                         || function.starts_with("torch.storage.") =>
                 {
-                    self.count(format!("objects of {}", excerpt(function)));
+                    self.leave_out(name, format!("objects of {}", excerpt(function)));
                     return Ok(true);
                 }
                 _ => return Ok(false),
@@ -214,13 +217,16 @@ impl Walk<'_> {
         let dtype = match (kind, named.and_then(|name| name.strip_prefix("torch."))) {
             (Some((.., Some(dtype))), _) => dtype,
             (Some((kind, ..)), _) => {
-                self.count(format!("tensors of {kind}"));
+                self.leave_out(name, format!("tensors of {kind}"));
                 return Some(());
             }
             (None, kind) => match NUMBER_KINDS.into_iter().find(|(name, ..)| Some(*name) == kind) {
                 Some((.., Some(dtype))) => dtype,
                 _ => {
-                    self.count(format!("tensors of {}", excerpt(kind.unwrap_or("an unknown type"))));
+                    self.leave_out(
+                        name,
+                        format!("tensors of {}", excerpt(kind.unwrap_or("an unknown type"))),
+                    );
                     return Some(());
                 }
             },
@@ -237,8 +243,8 @@ impl Walk<'_> {
         Some(())
     }
 
-    fn count(&mut self, kind: String) {
-        *self.tensors.others.entry(kind).or_default() += 1;
+    fn leave_out(&mut self, name: &str, kind: String) {
+        self.tensors.others.insert(name.to_owned(), kind);
     }
 }
 

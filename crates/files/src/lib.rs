@@ -20,7 +20,9 @@ mod sha256;
 
 pub use atomic_write::{PARTIAL_EXTENSION, create_folder, remove_partial, write_atomically, write_file};
 pub use codec::hdf5::{Hdf5Array, MAGIC as HDF5_MAGIC, hdf5_arrays};
-pub use codec::npy::{Array, npy_pickle, read_npy, read_npy_plane, write_npy, write_npy_plane};
+pub use codec::npy::{
+    Array, npy_pickle, read_npy, read_npy_channels_first, read_npy_plane, write_npy, write_npy_plane,
+};
 pub use codec::npz::{Npz, NpzArray, write_npz};
 pub use codec::npz::{open_zip, write_zip};
 pub use codec::{

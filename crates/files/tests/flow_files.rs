@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use proptest::prelude::*;
 use srflow_core::FlowField;
 use srflow_files::{
-    FileBytes, FlowFormat, encode_flow, encode_flow_half, read_flow, read_flow_as, write_flow, write_flow_as,
+    FileBytes, FlowFormat, encode_flow, encode_flow_half, read_flow, read_flow_as, read_npy_channels_first,
+    write_flow, write_flow_as, write_npy,
 };
 
 const FLOAT_FORMATS: [FlowFormat; 5] =
@@ -323,6 +324,31 @@ fn unrepresentable_values_are_reported_with_their_pixel() {
 }
 
 #[test]
+fn channels_may_come_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.npy");
+    let values = [1.0, 2.0, 3.0, 4.0, 5.0, f32::NAN, -1.0, -2.0, -3.0, -4.0, -5.0, f32::NAN];
+    for shape in [&[2, 2, 3][..], &[1, 2, 2, 3]] {
+        write_npy(&path, shape, &values).unwrap();
+        let flow = read_npy_channels_first(&path).unwrap();
+        assert_eq!((flow.width(), flow.height()), (3, 2));
+        assert_eq!((flow.get(0, 0), flow.get(1, 1)), ([1.0, -1.0], [5.0, -5.0]));
+        assert!(flow.get(2, 1)[0].is_nan());
+    }
+    for (shape, expected) in [
+        (&[2, 3, 2][..], "finite numbers, or NaN twice"),
+        (&[3, 2, 2], "expected (2, H, W) for a flow, channels first, found [3, 2, 2]"),
+        (&[12], "(2, H, W)"),
+    ] {
+        write_npy(&path, shape, &[&values[..6], &[0.0; 6]].concat()).unwrap();
+        let error = read_npy_channels_first(&path).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    write_npy(&path, &[2, 0, 3], &[]).unwrap();
+    assert!(read_npy_channels_first(&path).is_err());
+}
+
+#[test]
 fn npy_errors_name_the_field() {
     let with = |dictionary: &str| {
         let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
@@ -333,6 +359,8 @@ fn npy_errors_name_the_field() {
     };
     let message = with("{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2, 3), }");
     assert_eq!(message, ": shape: expected (H, W, 2) for a flow, found [1, 2, 3]");
+    let message = with("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 1, 2), }");
+    assert!(message.contains("`convert` has a setting for channels first"), "{message}");
     let message = with("{'descr': '<c8', 'fortran_order': False, 'shape': (1, 2, 2), }");
     assert_eq!(
         message,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_core::{FlowField, SettingError, flow_colors, longest_flow};
-use srflow_files::{FlowFormat, read_flow, write_flow_as, write_image_png};
+use srflow_files::{FlowFormat, read_flow, read_npy_channels_first, write_flow_as, write_image_png};
 use srflow_splat::{Gaussians, SplatFormat, Up, read_gaussians, write_gaussians};
 
 use crate::clap::Args;
@@ -28,6 +28,7 @@ use crate::{Job, Report, Watch};
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "Examples:
   srflow convert flow.flo5 flow.flo
+  srflow convert raft.npy flow.flo --channels-first
   srflow convert flow.flo colours.png --viz --max 20
   srflow convert head.ply head.glb
   srflow convert point_cloud.ply scene.spz --ply-up=-y")]
@@ -46,6 +47,10 @@ pub struct ConvertJob {
     #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = positive)]
     #[serde(default)]
     pub max: Option<f32>,
+    /// IN is a .npy of shape (2, H, W), as tensors of PyTorch are, not (H, W, 2)
+    #[arg(long)]
+    #[serde(default)]
+    pub channels_first: bool,
     /// Up direction of a .ply of Gaussians, which does not store it: y, as for srflow's heads, or -y, as for
     /// most scenes from photographs
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true, default_value_t)]
@@ -99,6 +104,9 @@ impl ConvertJob {
             (Some(_), Some(_)) if self.viz => {
                 wrong_settings!("`viz` draws a flow: {input} holds Gaussians")
             }
+            (Some(_), Some(_)) if self.channels_first => {
+                wrong_settings!("`channels_first` is for a flow: {input} holds Gaussians")
+            }
             (Some(from), Some(to)) if to.is_written() => Ok(Some((from, to))),
             (Some(_), _) => {
                 wrong_settings!(
@@ -141,7 +149,8 @@ impl Job for ConvertJob {
         }
         let target = Target::of(&self.output, self.viz)?;
         ensure_free([&self.output], self.force)?;
-        let flow = read_flow(&self.input)?;
+        let read = if self.channels_first { read_npy_channels_first } else { read_flow };
+        let flow = read(&self.input)?;
         match target {
             Target::Picture => write_image_png(&self.output, &flow_colors(&flow, self.max)),
             Target::Flow(format) => write_flow_as(&self.output, &flow, format),

@@ -6,7 +6,7 @@ use std::process::Output;
 
 use serde_json::Value;
 use srflow_core::{FlowField, Image, Mask, flow_colors, score};
-use srflow_files::{read_flow, read_image, write_flow, write_image_png, write_mask_png};
+use srflow_files::{read_flow, read_image, write_flow, write_image_png, write_mask_png, write_npy};
 
 use crate::{fails, json, refuses, succeeds};
 
@@ -176,6 +176,20 @@ fn convert_draws_the_colour_wheel() {
     succeeds(&srflow(folder.path(), &["convert", "a.flo", "b.png", "--viz", "--max", "2.5"]));
     assert_eq!(read_image(&path("b.png")).unwrap(), flow_colors(&wavy(), Some(2.5)));
     assert!(read_flow(&path("b.png")).is_err(), "a picture of a flow is no flow");
+}
+
+/// As PyTorch's tensors are, which is said and not guessed: an array of (2, H, 2) could be either.
+#[test]
+fn channels_come_first_on_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let values = [0.5, 1.0, -0.5, 2.0, 4.0, 8.0];
+    write_npy(&folder.path().join("a.npy"), &[2, 1, 3], &values).unwrap();
+    let convert = |more: &[&str]| srflow(folder.path(), &[&["convert", "a.npy", "a.flo"], more].concat());
+    refuses(&convert(&[]), 1, &["a.npy: shape: expected (H, W, 2)", "channels first"]);
+    succeeds(&convert(&["--channels-first"]));
+    let flow = read_flow(&folder.path().join("a.flo")).unwrap();
+    assert_eq!(flow.pixels(), [[0.5, 2.0], [1.0, 4.0], [-0.5, 8.0]]);
+    refuses(&srflow(folder.path(), &["convert", "a.ply", "b.ply", "--channels-first"]), 2, &["Gaussians"]);
 }
 
 #[test]

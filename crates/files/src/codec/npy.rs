@@ -151,6 +151,24 @@ pub fn read_npy_plane(path: &Path) -> Result<Plane, FileError> {
     }
 }
 
+/// Reads a flow from a `.npy` file of shape (2, H, W) or (1, 2, H, W), `u` first, as tensors of PyTorch are.
+///
+/// # Errors
+/// As [`read_npy`], and when the array has another shape or a value is infinite.
+pub fn read_npy_channels_first(path: &Path) -> Result<FlowField, FileError> {
+    let Array { shape, values } = read_npy(path)?;
+    let ([2, height, width] | [1, 2, height, width]) = shape[..] else {
+        let found = format!("{shape:?}");
+        return Err(FileProblem::field("shape", "(2, H, W) for a flow, channels first", found).in_file(path));
+    };
+    let flow = check_size(width as i64, height as i64).and_then(|(width, height)| {
+        let (u, v) = values.split_at(width * height);
+        let flow = FlowField::from_fn(width, height, |x, y| [u[y * width + x], v[y * width + x]]);
+        check_finite_or_unknown(&flow).map(|()| flow)
+    });
+    flow.map_err(|problem| problem.in_file(path))
+}
+
 /// Writes a plane as a `.npy` file of shape (H, W); see [`write_npy`].
 ///
 /// # Errors
@@ -162,7 +180,11 @@ pub fn write_npy_plane(path: &Path, plane: &Plane) -> Result<(), FileError> {
 pub(super) fn decode_flow(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileProblem> {
     let header = Header::read(reader, len)?;
     let [height, width, 2] = header.shape[..] else {
-        return Err(FileProblem::field("shape", "(H, W, 2) for a flow", format!("{:?}", header.shape)));
+        let expected = match header.shape[..] {
+            [2, _, _] | [1, 2, _, _] => "(H, W, 2) for a flow; `convert` has a setting for channels first",
+            _ => "(H, W, 2) for a flow",
+        };
+        return Err(FileProblem::field("shape", expected, format!("{:?}", header.shape)));
     };
     let (width, height) =
         check_size(i64::try_from(width).unwrap_or(i64::MAX), i64::try_from(height).unwrap_or(i64::MAX))?;

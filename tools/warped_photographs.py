@@ -81,7 +81,7 @@ def main():
         for number in range(PAIRS):
             rng = np.random.default_rng([args.seed, number, *path.name.encode()])
             first, second, flow = pair(rng, photograph)
-            stem = f"{path.parent.name}-{path.stem}-{number}"
+            stem = f"{path.resolve().parent.name}-{path.stem}-{number}"
             cv2.imwrite(str(args.out / f"{stem}_img1.png"), first)
             cv2.imwrite(str(args.out / f"{stem}_img2.png"), second)
             with open(args.out / f"{stem}_flow.flo", "wb") as file:

@@ -4,7 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-use srflow_files::read_flow;
+use srflow_core::Image;
+use srflow_files::{Npz, read_flow, write_image_png};
 use srflow_splat::{Gaussians, write_ply};
 
 use crate::{fails, succeeds};
@@ -145,4 +146,43 @@ fn a_video_opens_no_other_file() {
     // What they list is a video that can be read by itself.
     succeeds(&srflow(dir, &["flow", "--method", "farneback", "b.ts", "-o", "flows"]));
     assert_eq!(fs::read_dir(dir.join("flows")).unwrap().count(), 3);
+}
+
+/// Clips of micro-expressions may be videos: their frames give the features that pictures give.
+#[test]
+fn clips_are_videos_or_folders() {
+    if !programs_exist() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    fs::create_dir(dir.join("a")).unwrap();
+    for number in 1..=6 {
+        let frame = Image::from_fn(64, 48, |x, y| {
+            let wave = ((x as f32 + 0.4 * number as f32) * 0.5).sin() + (y as f32 * 0.3).sin();
+            [(127.0 + 60.0 * wave) as u8; 3]
+        });
+        write_image_png(&dir.join(format!("a/{number:03}.png")), &frame).unwrap();
+    }
+    let made = Command::new("ffmpeg")
+        .current_dir(dir)
+        .args(["-v", "error", "-i", "a/%03d.png", "-c:v", "ffv1", "-pix_fmt", "bgr0", "a.mkv"])
+        .status();
+    assert!(made.unwrap().success());
+    let features = |clip: &str, rest: &str, out: &str| {
+        let rows = format!("clip,subject,onset,apex,offset,class\n{clip},s1,{rest},positive\n");
+        fs::write(dir.join("clips.csv"), rows).unwrap();
+        srflow(dir, &["mer", "features", "--data", "clips:.", "--method", "farneback", "--out", out])
+    };
+    succeeds(&features("a", "2,4,6", "folder.npz"));
+    succeeds(&features("a.mkv", "2,4,6", "video.npz"));
+    let array = |name: &str| Npz::open(&dir.join(name)).unwrap().array("X").unwrap();
+    assert_eq!(array("folder.npz"), array("video.npz"));
+    let error = fails(&features("a.mkv", "2,4,9", "more.npz"), 1);
+    assert!(error.contains("s1/a.mkv: 3 frames: 7-9"), "{error}");
+    let listed = srflow(dir, &["mer", "data", "clips:.", "--allow-missing"]);
+    assert!(succeeds(&listed).contains("1 clips: 0 negative, 1 positive"));
+    fs::write(dir.join("a.mkv"), "no video").unwrap();
+    let error = fails(&features("a.mkv", "2,4,6", "broken.npz"), 1);
+    assert!(error.contains("a.mkv: reading a video: ffmpeg"), "{error}");
 }

@@ -9,6 +9,7 @@ use super::Annotation;
 pub struct Clip {
     pub dataset: String,
     pub annotation: Annotation,
+    /// The folder of its frames, or its video.
     pub folder: PathBuf,
     /// The existing frames from onset to offset, by number.
     pub frames: BTreeMap<u64, PathBuf>,
@@ -31,7 +32,7 @@ impl Clip {
 pub struct MissingFrames {
     pub subject: String,
     pub clip: String,
-    /// The folder that was searched.
+    /// The folder, or the video, that was searched.
     pub folder: PathBuf,
     /// Their numbers, as inclusive ranges.
     pub numbers: Vec<(u64, u64)>,
@@ -64,7 +65,7 @@ impl fmt::Display for MissingFrames {
         if self.numbers.len() > NAMED {
             write!(f, " and {} more gaps", self.numbers.len() - NAMED)?;
         }
-        if !self.folder.is_dir() {
+        if !self.folder.exists() {
             write!(f, " (no folder {})", self.folder.display())?;
         }
         if let Some(unread) = &self.unread {

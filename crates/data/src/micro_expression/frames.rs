@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use srflow_core::excerpt;
 
-use super::{Annotation, Clip, DropReason, Dropped, MicroExpressionError, MissingFrames};
+use super::{Annotation, Clip, ClipSource, DropReason, Dropped, MicroExpressionError, MissingFrames};
 use crate::{FrameNames, listing};
 
 /// The folders of a dataset's clips, in the annotations' order; they need not exist.
@@ -86,16 +86,18 @@ pub struct Located {
     pub missing: Vec<MissingFrames>,
 }
 
-/// Finds the frames of each annotation in its folder. With `only_key_frames`, only onset and apex are required.
+/// Finds the frames of each annotation in its folder, or in that of its video. With `only_key_frames`, only onset and apex are required.
 pub fn locate(
     dataset: &str,
     annotations: Vec<Annotation>,
     found: &ClipFolders,
-    only_key_frames: bool,
+    source: &ClipSource,
 ) -> Result<Located, MicroExpressionError> {
+    let only_key_frames = source.only_key_frames;
     let mut located = Located { clips: Vec::new(), dropped: Vec::new(), missing: Vec::new() };
     for (mut annotation, folder) in annotations.into_iter().zip(&found.folders) {
-        let mut frames = if folder.is_dir() { numbered_frames(folder)? } else { BTreeMap::new() };
+        let place = source.frames_of_videos.get(folder).unwrap_or(folder);
+        let mut frames = if place.is_dir() { numbered_frames(place)? } else { BTreeMap::new() };
         frames.retain(|number, _| (annotation.onset..=annotation.offset).contains(number));
         if only_key_frames && annotation.apex.is_none() {
             annotation.apex = only_frame_between(&frames, annotation.onset, annotation.offset);

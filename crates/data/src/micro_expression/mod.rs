@@ -131,8 +131,7 @@ impl ClipDataset {
         let mut labels = Labels::read(source)?;
         let annotations = std::mem::take(&mut labels.annotations);
         let found = (source.kind.folders)(source, &annotations)?;
-        let Located { clips, dropped, missing } =
-            locate(&labels.dataset, annotations, &found, source.only_key_frames)?;
+        let Located { clips, dropped, missing } = locate(&labels.dataset, annotations, &found, source)?;
         if !missing.is_empty() && !allow_missing {
             return Err(MicroExpressionError::missing(&labels.dataset, &found.root, &missing));
         }

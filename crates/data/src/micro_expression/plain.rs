@@ -1,7 +1,7 @@
 //! Users' own clips: a `clips.csv` with one row per clip, next to the clips' folders.
 //!
-//! Columns: `clip` (folder of the frames, relative to the CSV file), `subject`, `onset`, `apex`, `offset` (frame numbers as in the
-//! pictures' names; the apex may be empty) and `class` (a class's name or number, or an emotion that belongs
+//! Columns: `clip` (folder of the frames, or a video, relative to the CSV file), `subject`, `onset`, `apex`, `offset` (frame numbers as
+//! in the pictures' names, or from 1 in a video; the apex may be empty) and `class` (a class's name or number, or an emotion that belongs
 //! to one). Optional: `label`, `action_units` and `objective`.
 
 use std::path::{Path, PathBuf};
@@ -31,6 +31,15 @@ impl ClipSource {
     /// Plain clips in a folder.
     pub(crate) fn plain(dir: &Path) -> Self {
         Self::new(&KIND, dir)
+    }
+
+    /// Where the clips of these annotations are if they are plain ones, which may be folders and videos.
+    pub fn plain_places(&self, annotations: &[Annotation]) -> Vec<PathBuf> {
+        if self.kind != &KIND {
+            return Vec::new();
+        }
+        let root = root_of(self);
+        annotations.iter().map(|annotation| root.join(&annotation.clip)).collect()
     }
 }
 
@@ -112,16 +121,23 @@ fn name_of(file: &Path) -> String {
     full.parent().map(listing::name).filter(|name| !name.is_empty()).unwrap_or_else(|| "clips".to_owned())
 }
 
+fn root_of(source: &ClipSource) -> PathBuf {
+    file_of(source).parent().unwrap_or(Path::new("")).to_owned()
+}
+
 fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {
-    let root = file_of(source).parent().unwrap_or(Path::new("")).to_owned();
-    let folders: Vec<PathBuf> = annotations.iter().map(|annotation| root.join(&annotation.clip)).collect();
+    let (root, folders) = (root_of(source), source.plain_places(annotations));
+    let found = |folder: &PathBuf| folder.is_dir() || source.frames_of_videos.contains_key(folder);
     if let Some(first) = folders.first()
-        && !folders.iter().any(|folder| folder.is_dir())
+        && !folders.iter().any(found)
     {
         return Err(MicroExpressionError::NoFolders {
             kind: "clips",
             looked_for: first.display().to_string(),
-            found: format!("{}. Clips are folders relative to the CSV file", listing::contents(&root)),
+            found: format!(
+                "{}. Clips are folders of frames, relative to the CSV file",
+                listing::contents(&root)
+            ),
         });
     }
     Ok(ClipFolders { folders, root, form: "" })

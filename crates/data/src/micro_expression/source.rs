@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -51,6 +52,8 @@ pub struct ClipSource {
     /// Require only the onset and apex frames of a clip. Without an annotated apex, it is the single frame between onset and
     /// offset.
     pub only_key_frames: bool,
+    /// Folders with the frames of plain clips that are videos, by the video's path: its first frame is number 1.
+    pub frames_of_videos: BTreeMap<PathBuf, PathBuf>,
 }
 
 impl ClipSource {
@@ -64,6 +67,7 @@ impl ClipSource {
             apex_list: None,
             classes: Classes::default(),
             only_key_frames: false,
+            frames_of_videos: BTreeMap::new(),
         }
     }
 }

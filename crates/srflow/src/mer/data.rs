@@ -12,6 +12,7 @@ use srflow_data::micro_expression::{
 };
 
 use super::SourceArgs;
+use super::sources::folder_for_frames;
 use crate::clap::Args;
 use crate::output::write_line;
 use crate::{Job, Report, Watch};
@@ -49,12 +50,12 @@ impl Job for DataJob {
 
     type Report = DataReport;
 
-    fn work(&self, _: &Watch) -> anyhow::Result<DataReport> {
+    fn work(&self, watch: &Watch) -> anyhow::Result<DataReport> {
         let sources = self.sources.complete(&self.datasets)?;
         let classes = self.sources.classes()?;
         let datasets = sources
             .into_iter()
-            .map(|source| self.list(source))
+            .map(|source| self.list(source, watch))
             .collect::<anyhow::Result<Vec<ListedDataset>>>()?;
         check_distinct(datasets.iter().map(|dataset| dataset.name.as_str()))?;
         let composite = Counts::sum(&classes, datasets.iter().map(|dataset| &dataset.counts));
@@ -65,14 +66,14 @@ impl Job for DataJob {
 }
 
 impl DataJob {
-    fn list(&self, source: ClipSource) -> anyhow::Result<ListedDataset> {
-        let context = || format!("reading {source}");
+    fn list(&self, mut source: ClipSource, watch: &Watch) -> anyhow::Result<ListedDataset> {
         if self.labels_only {
             let Labels { dataset, file, annotations, dropped } =
-                Labels::read(&source).with_context(context)?;
+                Labels::read(&source).with_context(|| format!("reading {source}"))?;
             return Ok(ListedDataset::new(source, dataset, "", file, &annotations, dropped, Vec::new()));
         }
-        let dataset = ClipDataset::open(&source, self.sources.allow_missing).with_context(context)?;
+        let frames = folder_for_frames()?;
+        let dataset = self.sources.open_one(&mut source, frames.path(), watch)?;
         let ClipDataset { name, form, file, clips, dropped, missing, .. } = dataset;
         let annotations: Vec<Annotation> = clips.into_iter().map(|clip| clip.annotation).collect();
         Ok(ListedDataset::new(source, name, form, file, &annotations, dropped, missing))

@@ -99,7 +99,7 @@ impl Job for FeaturesJob {
         let methods = estimators.iter().zip(records.clone());
         let methods: Vec<RunMethod> =
             methods.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record }).collect();
-        let datasets = self.sources.open(&self.data)?;
+        let (datasets, _frames) = self.sources.open(&self.data, watch)?;
         let landmarks = || self.out.with_extension("landmarks.csv");
         let preparation = self.preparation.preparation(&datasets, landmarks, self.force, watch)?;
 

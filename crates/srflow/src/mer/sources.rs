@@ -1,15 +1,21 @@
 //! Which micro-expression datasets, and how they are read.
 
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, bail, ensure};
 use serde::{Deserialize, Serialize};
 use srflow_data::micro_expression::{
-    CLASS_SETS, CLIP_KINDS, Classes, ClipDataset, ClipSource, check_distinct,
+    CLASS_SETS, CLIP_KINDS, Classes, ClipDataset, ClipSource, Labels, check_distinct,
 };
+use srflow_files::write_image_png;
+use tempfile::TempDir;
 
+use crate::Watch;
 use crate::clap::Args;
 use crate::error::wrong_settings;
+use crate::video::{VideoReader, is_video};
 
 /// Where annotations are, which classes to use, and how to treat missing frames.
 #[derive(Args, Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -88,19 +94,72 @@ impl SourceArgs {
         Ok(sources)
     }
 
-    /// Opens the datasets.
+    /// Opens the datasets. The frames of clips that are videos lie in the folder that is returned.
     ///
     /// # Errors
-    /// Those of [`ClipDataset::open`], or when two have the same name.
-    pub(super) fn open(&self, sources: &[ClipSource]) -> anyhow::Result<Vec<ClipDataset>> {
-        let sources = self.complete(sources)?;
-        let open = |source: &ClipSource| {
-            ClipDataset::open(source, self.allow_missing).with_context(|| format!("reading {source}"))
-        };
-        let datasets = sources.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
+    /// Those of [`ClipDataset::open`], when two have the same name, or when a video cannot be read.
+    pub(super) fn open(
+        &self,
+        sources: &[ClipSource],
+        watch: &Watch,
+    ) -> anyhow::Result<(Vec<ClipDataset>, TempDir)> {
+        let frames = folder_for_frames()?;
+        let mut sources = self.complete(sources)?;
+        let open = |source| self.open_one(source, frames.path(), watch);
+        let datasets = sources.iter_mut().map(open).collect::<anyhow::Result<Vec<_>>>()?;
         check_distinct(datasets.iter().map(|dataset| dataset.name.as_str()))?;
-        Ok(datasets)
+        Ok((datasets, frames))
     }
+
+    /// Opens a dataset; the frames of videos go into folders below `frames`.
+    ///
+    /// # Errors
+    /// Those of [`ClipDataset::open`], or when a video cannot be read.
+    pub(super) fn open_one(
+        &self,
+        source: &mut ClipSource,
+        frames: &Path,
+        watch: &Watch,
+    ) -> anyhow::Result<ClipDataset> {
+        let open = unpack_videos(source, frames, watch)
+            .and_then(|()| Ok(ClipDataset::open(source, self.allow_missing)?));
+        open.with_context(|| format!("reading {source}"))
+    }
+}
+
+/// A folder for the frames of videos, which goes when the value does.
+pub(super) fn folder_for_frames() -> anyhow::Result<TempDir> {
+    tempfile::tempdir().context("creating a folder for the frames of videos")
+}
+
+/// Writes the frames of clips that are videos, from onset to offset, into folders below `into`.
+fn unpack_videos(source: &mut ClipSource, into: &Path, watch: &Watch) -> anyhow::Result<()> {
+    let annotations = Labels::read(source)?.annotations;
+    let mut videos = BTreeMap::<PathBuf, Vec<RangeInclusive<u64>>>::new();
+    for (annotation, place) in annotations.iter().zip(source.plain_places(&annotations)) {
+        if is_video(&place) && place.is_file() {
+            videos.entry(place).or_default().push(annotation.onset..=annotation.offset);
+        }
+    }
+    if videos.is_empty() {
+        return Ok(());
+    }
+    let done = watch.count("videos", videos.len() as u64);
+    for (video, clips) in videos {
+        let folder = tempfile::tempdir_in(into)?.keep();
+        let last = clips.iter().map(|clip| *clip.end()).max().unwrap_or_default();
+        let mut frames = VideoReader::open(&video)?;
+        for number in 1..=last {
+            ensure!(!(watch.stop)(), "stopped while reading {}", video.display());
+            let Some(frame) = frames.next_frame()? else { break };
+            if clips.iter().any(|clip| clip.contains(&number)) {
+                write_image_png(&folder.join(format!("{number:06}.png")), &frame)?;
+            }
+        }
+        source.frames_of_videos.insert(video, folder);
+        done.inc();
+    }
+    Ok(())
 }
 
 /// Help on the names of datasets and classes.

@@ -48,11 +48,13 @@ pub const MASKS: &[&str] = &["png", "jpg", "jpeg", "jpe", "jfif", "ppm", "pgm", 
 
 /// The files of `dir` with one of the extensions `endings` (case-insensitive), in natural order. Hidden files are skipped.
 pub fn files(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, FileError> {
-    let has_ending = |path: &Path| {
-        let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-        endings.iter().any(|e| e.eq_ignore_ascii_case(ending))
-    };
-    Ok(visible(dir)?.into_iter().filter(|path| has_ending(path) && path.is_file()).collect())
+    Ok(visible(dir)?.into_iter().filter(|path| has_ending(path, endings) && path.is_file()).collect())
+}
+
+/// Whether the name ends in one of these extensions, in any case.
+pub fn has_ending(path: &Path, endings: &[&str]) -> bool {
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    endings.iter().any(|e| e.eq_ignore_ascii_case(ending))
 }
 
 /// The pictures in `dir`, in natural order: `frame9` before `frame10`. Hidden files are skipped.

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use proptest::prelude::*;
 use srflow_core::FlowField;
 use srflow_files::{
-    FileBytes, FlowFormat, encode_flow, encode_flow_half, read_flow, read_flow_as, read_npy_channels_first,
-    write_flow, write_flow_as, write_npy,
+    FileBytes, FlowFormat, NpzArray, encode_flow, encode_flow_half, read_flow, read_flow_as,
+    read_npy_channels_first, write_flow, write_flow_as, write_npy, write_npz,
 };
 
 const FLOAT_FORMATS: [FlowFormat; 5] =
@@ -321,6 +321,25 @@ fn unrepresentable_values_are_reported_with_their_pixel() {
         let message = write_flow(&path, &flow).unwrap_err().to_string();
         assert!(message.contains("pixel (3, 2): expected") && !path.exists(), "{message}");
     }
+}
+
+/// As of VIPER; other arrays are named.
+#[test]
+fn an_archive_may_hold_u_and_v() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.npz");
+    let (u, v) = ([1.0, 2.0, f32::NAN, 4.0, 5.0, 6.0], [-1.0, -2.0, f32::NAN, -4.0, -5.0, -6.0]);
+    let write = |arrays: &[(&str, NpzArray)]| write_npz(&path, arrays).unwrap();
+    write(&[("u", NpzArray::Float(&[2, 3], &u)), ("v", NpzArray::Float(&[2, 3], &v))]);
+    let flow = read_flow(&path).unwrap();
+    assert_eq!((flow.width(), flow.height(), flow.get(1, 1)), (3, 2, [5.0, -5.0]));
+    assert!(flow.get(2, 0)[0].is_nan());
+    let error = || read_flow(&path).unwrap_err().to_string();
+    write(&[("u", NpzArray::Float(&[2, 3], &u)), ("v", NpzArray::Float(&[3, 2], &v))]);
+    assert!(error().contains("expected (H, W) of both u and v, found [2, 3] and [3, 2]"), "{}", error());
+    write(&[("back", NpzArray::Float(&[2, 3], &u)), ("forth", NpzArray::Float(&[2, 3], &v))]);
+    let expected = "arrays: expected one, or one named `flow`, or `u` and `v`, found back, forth";
+    assert!(error().contains(expected), "{}", error());
 }
 
 #[test]

@@ -19,6 +19,7 @@ use std::path::Path;
 
 use glam::{Quat, Vec3};
 use serde_json::Value;
+use srflow_core::excerpts;
 use srflow_files::{
     Array, FileError, FileKind, FileProblem, Npz, NpzArray, parse_error_in_words, read_text, write_npz,
 };
@@ -108,14 +109,20 @@ impl PoseParameters {
 }
 
 impl HeadParameters {
-    /// Reads a file of parameters, `.json` or `.npz`. Missing arrays are zero, and other arrays than those listed above are ignored.
+    /// Reads a file of parameters, `.json` or `.npz`. Missing arrays are zero. VHAP's arrays of textures, lights and cameras are passed over,
+    /// others with a note.
     ///
     /// # Errors
-    /// When the file cannot be read, has none of the arrays, an array has another shape, timesteps differ in number, or a number
-    /// is not finite.
+    /// When the file cannot be read, has none of the arrays, one under the name that another program gives it, an array has another
+    /// shape, timesteps differ in number, or a number is not finite.
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let mut tables = Tables::open(path)?;
         let in_file = |problem| FileError { path: path.to_owned(), problem };
+        let unknown = unknown_names(tables.names()).map_err(in_file)?;
+        if !unknown.is_empty() {
+            let (path, names) = (path.display(), excerpts(unknown.iter().copied(), 12));
+            log::warn!("{path}: {names} are not known; what they say is left out");
+        }
         let mut arrays = BTreeMap::new();
         for name in TIMED.iter().map(|(name, _)| *name).chain(STILL) {
             if let Some(array) = tables.array(name)? {
@@ -300,10 +307,62 @@ const TIMED: [(&str, &str); 8] = [
 /// The arrays that hold for all timesteps.
 const STILL: [&str; 2] = ["shape", "static_offset"];
 
+/// Names that DECA, EMOCA, SMIRK, FlashAvatar's tracker and smplx give to the arrays, and ours.
+const OTHER_NAMES: [(&str, &str); 19] = [
+    ("betas", "shape"),
+    ("shape_params", "shape"),
+    ("shapecode", "shape"),
+    ("exp", "expr"),
+    ("expression", "expr"),
+    ("expression_params", "expr"),
+    ("expcode", "expr"),
+    ("global_orient", "rotation"),
+    ("global_pose", "rotation"),
+    ("pose", "rotation and jaw_pose, which are its columns 0 to 2 and 3 to 5"),
+    ("posecode", "rotation and jaw_pose, which are its columns 0 to 2 and 3 to 5"),
+    ("pose_params", "rotation and jaw_pose, which are its columns 0 to 2 and 3 to 5"),
+    ("neck", "neck_pose"),
+    ("jaw", "jaw_pose"),
+    ("jaw_params", "jaw_pose"),
+    ("eyes", "eyes_pose"),
+    ("leye_pose", "eyes_pose, the left eye before the right"),
+    ("reye_pose", "eyes_pose, the left eye before the right"),
+    ("transl", "translation"),
+];
+
+/// Arrays of VHAP's tracking that say nothing of the head's shape or motion.
+const HARMLESS: [&str; 10] = [
+    "timestep_id",
+    "n_processed_frames",
+    "tex",
+    "tex_extra",
+    "tex_pca",
+    "tex_painted",
+    "lights",
+    "focal_length",
+    "camera_id",
+    "image_size",
+];
+
+/// Names that mean nothing here.
+///
+/// # Errors
+/// For one that another program gives to what has another name here.
+fn unknown_names<'a>(names: impl Iterator<Item = &'a str>) -> Result<Vec<&'a str>, FileProblem> {
+    let ours = || TIMED.iter().map(|(name, _)| *name).chain(STILL).chain(HARMLESS);
+    let unknown: Vec<&str> = names.filter(|name| !ours().any(|known| known == *name)).collect();
+    for name in &unknown {
+        if let Some((other, meant)) = OTHER_NAMES.iter().find(|(other, _)| other.eq_ignore_ascii_case(name)) {
+            return Err(field("arrays", format!("the names of VHAP, as {meant}"), other));
+        }
+    }
+    Ok(unknown)
+}
+
 /// A file of arrays by name.
 enum Tables {
     Npz(Npz),
-    Json(BTreeMap<String, Array>),
+    Json { arrays: BTreeMap<String, Array>, names: Vec<String> },
 }
 
 impl Tables {
@@ -327,13 +386,21 @@ impl Tables {
             }
             arrays.insert(name.to_owned(), array);
         }
-        Ok(Self::Json(arrays))
+        Ok(Self::Json { arrays, names: object.into_keys().collect() })
+    }
+
+    fn names(&self) -> impl Iterator<Item = &str> {
+        let names = match self {
+            Self::Npz(file) => file.names(),
+            Self::Json { names, .. } => names,
+        };
+        names.iter().map(String::as_str)
     }
 
     fn array(&mut self, name: &str) -> Result<Option<Array>, FileError> {
         match self {
             Self::Npz(file) => file.has(name).then(|| file.array(name)).transpose(),
-            Self::Json(arrays) => Ok(arrays.remove(name)),
+            Self::Json { arrays, .. } => Ok(arrays.remove(name)),
         }
     }
 }
@@ -410,5 +477,25 @@ mod tests {
         assert_eq!(read(r#"{"shape": [0.5]}"#).map(|p| (p.shape, p.poses.len())), Ok((vec![0.5], 1)));
         let moved = read(r#"{"dynamic_offset": [[0, 0, 1]]}"#).unwrap();
         assert_eq!(moved.poses[0].dynamic_offset, [Vec3::Z]);
+    }
+
+    /// A file of another tracker would give a neutral face.
+    #[test]
+    fn names_of_other_programs_are_refused() {
+        for (text, meant) in [
+            (r#"{"shape": [1], "exp": [0.5], "pose": [0, 0, 0, 0.2, 0, 0]}"#, "as expr, found exp"),
+            (r#"{"jaw": [0.4, 0, 0], "expr": [0.5]}"#, "as jaw_pose, found jaw"),
+            (r#"{"expr": [0.5], "global_orient": [0, 0, 0]}"#, "as rotation, found global_orient"),
+            (
+                r#"{"expr": [0.5], "pose_params": [0, 0, 0]}"#,
+                "as rotation and jaw_pose, which are its columns",
+            ),
+        ] {
+            let error = read(text).unwrap_err();
+            assert!(error.contains(meant), "{error}");
+        }
+        assert!(read(r#"{"expr": [0.5], "lights": [[1]], "focal_length": [1.5]}"#).is_ok());
+        let unknown = |names: &[&'static str]| unknown_names(names.iter().copied()).unwrap().join(" ");
+        assert_eq!(unknown(&["expr", "tex_extra", "eyelids", "shape", "other_joints"]), "eyelids");
     }
 }

@@ -8,6 +8,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
+use srflow_core::excerpt;
 use srflow_data::micro_expression::{Annotation, Clip};
 use srflow_face::{FaceBox, FaceError, FaceFinder, FacePoints, FrameCrop, LandmarkTable, write_landmarks};
 use srflow_files::{FileProblem, read_image, whole_number};
@@ -144,7 +145,8 @@ impl Landmarks {
             let (subject, clip) = (annotation.subject.clone(), annotation.clip.clone());
             self.clips.get(&ClipName { dataset: dataset.to_owned(), subject, clip })
         };
-        let at_onset = rows_of(dataset).or_else(|| rows_of("")).and_then(|rows| {
+        let rows = rows_of(dataset).or_else(|| rows_of(""));
+        let at_onset = rows.and_then(|rows| {
             let of_frame = |frame: Option<u64>| {
                 let of_frame = || rows.iter().filter(move |row| row.frame == frame);
                 of_frame().find(|row| row.face.is_some()).or_else(|| of_frame().next())
@@ -152,10 +154,28 @@ impl Landmarks {
             of_frame(Some(annotation.onset)).or_else(|| of_frame(None))
         });
         at_onset.and_then(|row| row.face.as_ref()).ok_or_else(|| {
-            let failed = if at_onset.is_some() { " (the tracker found no face in its row)" } else { "" };
-            let of = format!("clip {} of subject {}{failed}", annotation.clip, annotation.subject);
-            FaceError::NoLandmarks { path: self.path.clone(), of }
+            let Annotation { subject, clip, onset, .. } = annotation;
+            let why = match (at_onset, rows, self.respelled(annotation)) {
+                (Some(_), ..) => " (the tracker found no face in its row)".to_owned(),
+                (_, Some(_), _) => format!(" in its onset, frame {onset}"),
+                (.., Some(other)) => {
+                    format!(" (the file calls the subject {}: write it alike)", excerpt(other))
+                }
+                _ => String::new(),
+            };
+            FaceError::NoLandmarks {
+                path: self.path.clone(),
+                of: format!("clip {clip} of subject {subject}{why}"),
+            }
         })
+    }
+
+    /// The subject of a row that differs from that of the clip in zeros before or behind it alone.
+    fn respelled(&self, annotation: &Annotation) -> Option<&str> {
+        let number = whole_number(&annotation.subject)?;
+        let same =
+            |name: &&ClipName| name.clip == annotation.clip && whole_number(&name.subject) == Some(number);
+        self.clips.keys().find(same).map(|name| name.subject.as_str())
     }
 }
 

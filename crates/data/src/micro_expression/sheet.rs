@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use srflow_core::{excerpt, excerpts};
-use srflow_files::{FileKind, open_file, read_file};
+use srflow_files::{CsvTable, FileKind, read_file, whole_number};
 
 use super::MicroExpressionError;
 use super::forms::{FORMS, Form};
@@ -14,6 +14,9 @@ use crate::listing;
 
 /// Number of rows in which the header is looked for.
 const HEADER_ROWS: u32 = 40;
+
+/// The first bytes of the files of old Office programs.
+const OLD_EXCEL: &[u8] = b"\xd0\xcf\x11\xe0";
 
 /// A table with named columns.
 #[derive(Debug)]
@@ -57,7 +60,8 @@ impl<'a> Row<'a> {
     /// The frame number of a column.
     pub fn frame(self, column: &str) -> Result<u64, MicroExpressionError> {
         let text = self.text(column);
-        text.parse().map_err(|_| self.wrong(format!("{column}: expected a frame number, found `{text}`")))
+        let wrong = || self.wrong(format!("{column}: expected a frame number, found `{text}`"));
+        whole_number(text).ok_or_else(wrong)
     }
 
     /// The text of a required column.
@@ -89,7 +93,7 @@ pub fn read_spreadsheet(form: &Form, source: &ClipSource) -> Result<Table, Micro
     }
 }
 
-/// The spreadsheet of this form in a folder, if there is one.
+/// The spreadsheet of this form in a folder, or the CSV file, if there is one.
 pub fn spreadsheet_in(form: &Form, dir: &Path) -> Result<Option<Table>, MicroExpressionError> {
     let mut fitting: Vec<Table> = Vec::new();
     let spreadsheets = listing::files(dir, &["xlsx"])?;
@@ -100,6 +104,10 @@ pub fn spreadsheet_in(form: &Form, dir: &Path) -> Result<Option<Table>, MicroExp
             Err(MicroExpressionError::Columns { .. }) => {}
             Err(error) => return Err(error),
         }
+    }
+    if fitting.is_empty() {
+        let tables = listing::files(dir, &["csv"])?;
+        fitting.extend(tables.iter().filter_map(|path| read_form(form, path).ok()));
     }
     if let [first, second, ..] = &fitting[..] {
         let found = format!(
@@ -114,7 +122,7 @@ pub fn spreadsheet_in(form: &Form, dir: &Path) -> Result<Option<Table>, MicroExp
 }
 
 fn none_fits(form: &Form, dir: &Path) -> MicroExpressionError {
-    let spreadsheets = listing::files(dir, &["xlsx"]).unwrap_or_default();
+    let spreadsheets = listing::files(dir, &["xlsx", "xls"]).unwrap_or_default();
     let names: Vec<String> = spreadsheets.iter().map(|path| listing::name(path)).collect();
     let there = match &names[..] {
         [] => "there is no spreadsheet".to_owned(),
@@ -177,38 +185,42 @@ fn header_key(text: &str) -> String {
     text.trim().trim_start_matches('\u{feff}').to_lowercase()
 }
 
+/// The sheets of a spreadsheet, or the only one of a CSV file.
 fn read_sheets(path: &Path) -> Result<Vec<Cells>, MicroExpressionError> {
+    if listing::has_ending(path, &["csv"]) {
+        return Ok(vec![csv_sheet(path)?]);
+    }
     let bytes = read_file(path, FileKind::Spreadsheet)?;
-    read_workbook(bytes).map_err(|reason| MicroExpressionError::Table {
-        path: path.to_owned(),
-        reason: format!("expected a valid .xlsx spreadsheet: {}", excerpt(&reason)),
-    })
+    let wrong = |reason: String| MicroExpressionError::Table { path: path.to_owned(), reason };
+    if bytes.starts_with(OLD_EXCEL) {
+        return Err(wrong(
+            "expected an .xlsx spreadsheet or a .csv file, found an .xls: save it as .xlsx".into(),
+        ));
+    }
+    read_workbook(bytes)
+        .map_err(|reason| wrong(format!("expected a valid .xlsx spreadsheet: {}", excerpt(&reason))))
+}
+
+/// All rows of a CSV file.
+fn csv_sheet(path: &Path) -> Result<Cells, MicroExpressionError> {
+    let filled = |cells: &mut dyn Iterator<Item = &str>| -> BTreeMap<u32, String> {
+        let cells = (0..).zip(cells).filter(|(_, text)| !text.is_empty());
+        cells.map(|(at, text)| (at, text.to_owned())).collect()
+    };
+    let place = |line: usize| u32::try_from(line.saturating_sub(1)).unwrap_or(u32::MAX);
+    let mut table = CsvTable::open(path, FileKind::Table)?;
+    let header = filled(&mut table.columns().iter().map(String::as_str));
+    let mut rows = Cells::from([(place(table.first_line()), header)]);
+    while let Some(row) = table.next_row()? {
+        rows.insert(place(row.line), filled(&mut row.cells()));
+    }
+    Ok(rows)
 }
 
 /// Reads a CSV file whose header contains at least `columns`.
 pub fn read_csv(kind: &'static str, path: &Path, columns: &[&str]) -> Result<Table, MicroExpressionError> {
-    let wrong = |reason: String| MicroExpressionError::Table { path: path.to_owned(), reason };
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .flexible(true)
-        .from_reader(open_file(path, FileKind::Table)?.0);
-    let mut rows = Cells::new();
-    let mut next = 0;
-    for record in reader.records() {
-        let record = record
-            .map_err(|error| wrong(format!("expected a CSV table: {}", excerpt(&error.to_string()))))?;
-        let line = record.position().map_or(1, csv::Position::line);
-        // After a line that ends in CR LF, the reader is still on that line.
-        let row = u32::try_from(line.saturating_sub(1)).unwrap_or(u32::MAX).max(next);
-        next = row.saturating_add(1);
-        let cells = (0..).zip(&record).filter(|(_, text)| !text.trim().is_empty());
-        let cells: BTreeMap<u32, String> = cells.map(|(at, text)| (at, text.to_owned())).collect();
-        if !cells.is_empty() {
-            rows.insert(row, cells);
-        }
-    }
-    let header = rows.first_key_value().map(|(row, cells)| (*row, cells.clone())).unwrap_or_default();
-    let first = Cells::from([header]);
+    let rows = csv_sheet(path)?;
+    let first = Cells::from_iter(rows.first_key_value().map(|(row, cells)| (*row, cells.clone())));
     match header_of(&first, columns) {
         Some((header, names)) => Ok(Table::of(path, names, rows, header)),
         None => Err(MicroExpressionError::Columns {

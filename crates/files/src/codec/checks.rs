@@ -54,6 +54,6 @@ pub(super) fn quote(start: &[u8]) -> String {
 
 /// What is wrong with an archive of arrays.
 pub(super) fn broken(error: ZipError) -> FileProblem {
-    let expected = "a valid .npz file with one array or one named `flow`, or an .npz16 file";
+    let expected = "a valid .npz or .npz16 file";
     FileProblem::field("archive", expected, error.to_string())
 }

@@ -161,12 +161,25 @@ pub fn read_npy_channels_first(path: &Path) -> Result<FlowField, FileError> {
         let found = format!("{shape:?}");
         return Err(FileProblem::field("shape", "(2, H, W) for a flow, channels first", found).in_file(path));
     };
-    let flow = check_size(width as i64, height as i64).and_then(|(width, height)| {
-        let (u, v) = values.split_at(width * height);
-        let flow = FlowField::from_fn(width, height, |x, y| [u[y * width + x], v[y * width + x]]);
-        check_finite_or_unknown(&flow).map(|()| flow)
-    });
-    flow.map_err(|problem| problem.in_file(path))
+    let (u, v) = values.split_at(values.len() / 2);
+    flow_of(width, height, u, v).map_err(|problem| problem.in_file(path))
+}
+
+/// The flow of two arrays of shape (H, W).
+pub(super) fn flow_of_components(u: Array, v: Array) -> Result<FlowField, FileProblem> {
+    match (&u.shape[..], &v.shape[..]) {
+        (&[height, width], &[rows, columns]) if (rows, columns) == (height, width) => {
+            flow_of(width, height, &u.values, &v.values)
+        }
+        (u, v) => Err(FileProblem::field("shape", "(H, W) of both u and v", format!("{u:?} and {v:?}"))),
+    }
+}
+
+fn flow_of(width: usize, height: usize, u: &[f32], v: &[f32]) -> Result<FlowField, FileProblem> {
+    let (width, height) = check_size(width as i64, height as i64)?;
+    let flow = FlowField::from_fn(width, height, |x, y| [u[y * width + x], v[y * width + x]]);
+    check_finite_or_unknown(&flow)?;
+    Ok(flow)
 }
 
 /// Writes a plane as a `.npy` file of shape (H, W); see [`write_npy`].

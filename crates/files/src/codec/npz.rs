@@ -1,4 +1,4 @@
-//! NumPy's `.npz`: a zip archive of `.npy` files. The array named `flow` is read, or the only one in the archive; an archive
+//! NumPy's `.npz`: a zip archive of `.npy` files. The array named `flow` is read, or the only one in the archive, or `u` and `v`; an archive
 //! with the arrays of [`super::npz16`] is read as that format. [`Npz`] reads the arrays of any archive by name, and
 //! [`write_npz`] writes several arrays, including text, for Python programs.
 
@@ -27,14 +27,35 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileP
     if npz16::is_this(&names) {
         return npz16::decode(&mut archive);
     }
-    let name = if let [name] = &names[..] { name } else { NAME };
+    let has = |wanted: &str| names.iter().any(|name| name == wanted);
+    match &names[..] {
+        [only] => entry(&mut archive, only, npy::decode_flow),
+        _ if has(NAME) => entry(&mut archive, NAME, npy::decode_flow),
+        // As of VIPER.
+        _ if has("u.npy") && has("v.npy") => {
+            let u = entry(&mut archive, "u.npy", npy::decode)?;
+            npy::flow_of_components(u, entry(&mut archive, "v.npy", npy::decode)?)
+        }
+        _ => {
+            let arrays = names.iter().map(|name| name.strip_suffix(".npy").unwrap_or(name));
+            let found = if names.is_empty() { "none".to_owned() } else { excerpts(arrays, 12) };
+            Err(FileProblem::field("arrays", "one, or one named `flow`, or `u` and `v`", found))
+        }
+    }
+}
+
+/// Decodes an entry, whose checksum is verified at the end of its data.
+fn entry<T>(
+    archive: &mut ZipArchive<Cursor<Vec<u8>>>,
+    name: &str,
+    decode: fn(&mut dyn Read, u64) -> Result<T, FileProblem>,
+) -> Result<T, FileProblem> {
     let mut array = archive.by_name(name).map_err(broken)?;
     let size = array.size();
     check_deflated(size, array.compressed_size())?;
-    let flow = npy::decode_flow(&mut array, size)?;
-    // The archive's checksum is verified at the end of the data.
+    let decoded = decode(&mut array, size)?;
     match array.read(&mut [0]).map_err(FileProblem::reading)? {
-        0 => Ok(flow),
+        0 => Ok(decoded),
         _ => Err(FileProblem::field("array size", format!("{size} bytes according to the archive"), "more")),
     }
 }

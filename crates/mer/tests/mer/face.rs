@@ -39,6 +39,16 @@ fn the_row_of_the_onset_counts() {
 }
 
 #[test]
+fn a_missing_row_is_explained() {
+    let header = "subject,clip,frame,left_eye_x,left_eye_y,right_eye_x,right_eye_y";
+    let landmarks = landmarks(&format!("{header}\n6,a,5,10,10,50,10\n007,a,5,10,10,50,10\n")).unwrap();
+    let error = |subject| landmarks.of_clip("samm", &annotation(subject, "a", 6)).unwrap_err().to_string();
+    assert!(error("006").contains("(the file calls the subject 6: write it alike)"), "{}", error("006"));
+    assert!(error("007").contains("subject 007 in its onset, frame 6"), "{}", error("007"));
+    assert!(error("008").contains("no landmarks of clip a of subject 008;"), "{}", error("008"));
+}
+
+#[test]
 fn wrong_frame_numbers_are_refused() {
     let text = "subject,clip,frame,left_eye_x,left_eye_y,right_eye_x,right_eye_y\n1,a,z,2,2,9,2\n";
     let error = landmarks(text).unwrap_err().to_string();

@@ -296,6 +296,7 @@ def convert(
     *,
     viz: bool = False,
     max: float | None = None,
+    channels_first: bool = False,
     ply_up: str = "y",
     force: bool = False,
     callback: Callback | None = None,
@@ -307,6 +308,7 @@ def convert(
         output: File to write.
         viz: Draw the flow in the colours of Middlebury's wheel, as a .png; unknown pixels are black.
         max: Length of the flow with full colour, in pixels (default: the longest of the picture).
+        channels_first: IN is a .npy of shape (2, H, W), as tensors of PyTorch are, not (H, W, 2).
         ply_up: Up direction of a .ply of Gaussians, which does not store it: y, as for srflow's heads, or -y, as for most scenes from photographs.
         force: Overwrite OUT.
         callback: Called with progress.
@@ -395,7 +397,7 @@ def models_inspect(
     """Inspect a file of weights.
 
     Args:
-        file: Weights: PyTorch (.pth, .pt, .ckpt), safetensors, burnpack, TensorFlow (.index) or Keras (.h5).
+        file: Weights: PyTorch (.pth, .pt, .ckpt), safetensors, burnpack, TensorFlow (.index), Keras (.h5) or an index of several files (.index.json).
         callback: Called with progress.
     """
     settings = locals()

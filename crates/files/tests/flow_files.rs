@@ -323,6 +323,15 @@ fn unrepresentable_values_are_reported_with_their_pixel() {
     }
 }
 
+#[test]
+fn a_checkpoint_is_no_archive_of_arrays() {
+    for name in ["flow.npz", "flow.pt"] {
+        let bytes = fs::read("../nn/tests/checkpoints/zip.pth").unwrap();
+        let error = refusal(name, &bytes);
+        assert!(error.contains("found a file of torch.save; save the arrays with numpy.savez"), "{error}");
+    }
+}
+
 /// As of VIPER; other arrays are named.
 #[test]
 fn an_archive_may_hold_u_and_v() {
@@ -378,7 +387,7 @@ fn npy_errors_name_the_field() {
     };
     let message = with("{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2, 3), }");
     assert_eq!(message, ": shape: expected (H, W, 2) for a flow, found [1, 2, 3]");
-    let message = with("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 1, 2), }");
+    let message = with("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 1, 3), }");
     assert!(message.contains("`convert` has a setting for channels first"), "{message}");
     let message = with("{'descr': '<c8', 'fortran_order': False, 'shape': (1, 2, 2), }");
     assert_eq!(

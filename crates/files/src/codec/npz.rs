@@ -21,7 +21,7 @@ pub(super) const MAGIC: &[u8] = b"PK\x03\x04";
 const NAME: &str = "flow.npy";
 
 pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileProblem> {
-    let mut archive = open_zip(read_all(reader, len)?)?;
+    let mut archive = open_arrays(read_all(reader, len)?)?;
     let names = archive.file_names().map(|name| name.map(|name| name.into_owned()));
     let names: Vec<String> = names.collect::<Result<_, _>>().map_err(broken)?;
     if npz16::is_this(&names) {
@@ -70,6 +70,25 @@ pub fn open_zip(bytes: Vec<u8>) -> Result<ZipArchive<Cursor<Vec<u8>>>, FileProbl
     ZipArchive::new(Cursor::new(bytes)).map_err(sound)
 }
 
+/// Opens an archive of arrays.
+fn open_arrays(bytes: Vec<u8>) -> Result<ZipArchive<Cursor<Vec<u8>>>, FileProblem> {
+    if is_torch_save(&bytes) {
+        let found = "a file of torch.save; save the arrays with numpy.savez";
+        return Err(FileProblem::field("format", "an .npz archive", found));
+    }
+    open_zip(bytes)
+}
+
+/// Whether the first entry is the pickle of a checkpoint of PyTorch.
+fn is_torch_save(bytes: &[u8]) -> bool {
+    const NAME_LENGTH_AT: usize = 26;
+    const NAME_AT: usize = 30;
+    let length = bytes.get(NAME_LENGTH_AT..NAME_LENGTH_AT + 2);
+    let length = length.map_or(0, |length| u16::from_le_bytes([length[0], length[1]]).into());
+    let name = bytes.get(NAME_AT..NAME_AT + length).filter(|_| bytes.starts_with(MAGIC));
+    name.is_some_and(|name| name == b"data.pkl" || name.ends_with(b"/data.pkl"))
+}
+
 /// The archive must end where the file does, and must not be zip64: the reader would trust its number of entries before
 /// looking at them. No readable flow needs zip64.
 fn check_end(bytes: &[u8]) -> Result<(), FileProblem> {
@@ -110,7 +129,7 @@ impl Npz {
     /// When the file cannot be read or is not a zip archive.
     pub fn open(path: &Path) -> Result<Self, FileError> {
         read_with(path, FileKind::Array, |reader, len| {
-            let archive = open_zip(read_all(reader, len)?)?;
+            let archive = open_arrays(read_all(reader, len)?)?;
             let files = archive.file_names().map(|name| name.map(|name| name.into_owned()));
             let files: Vec<String> = files.collect::<Result<_, _>>().map_err(damaged)?;
             let names =

@@ -2,8 +2,12 @@
 
 use std::collections::HashMap;
 
-use super::{Id, MAX_OPERATIONS, Value};
+use super::value::{Id, Value};
 use crate::FileProblem;
+
+/// Most operations of a pickle. Each makes a value of some dozen bytes. A training checkpoint with the optimizer state of a
+/// thousand tensors has 200,000.
+const MAX_OPERATIONS: usize = 1_000_000;
 
 /// Longer byte strings stay in the file.
 const SHORT: usize = 256;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use srflow_core::excerpt;
 
-use super::{Annotation, Clip, ClipSource, DropReason, Dropped, MicroExpressionError, MissingFrames};
+use super::{Annotation, Clip, DropReason, Dropped, MicroExpressionError, MissingFrames};
 use crate::{FrameNames, listing};
 
 /// The folders of a dataset's clips, in the annotations' order; they need not exist.
@@ -91,12 +91,12 @@ pub fn locate(
     dataset: &str,
     annotations: Vec<Annotation>,
     found: &ClipFolders,
-    source: &ClipSource,
+    only_key_frames: bool,
+    frames_of_videos: &BTreeMap<PathBuf, PathBuf>,
 ) -> Result<Located, MicroExpressionError> {
-    let only_key_frames = source.only_key_frames;
     let mut located = Located { clips: Vec::new(), dropped: Vec::new(), missing: Vec::new() };
     for (mut annotation, folder) in annotations.into_iter().zip(&found.folders) {
-        let place = source.frames_of_videos.get(folder).unwrap_or(folder);
+        let place = frames_of_videos.get(folder).unwrap_or(folder);
         let mut frames = if place.is_dir() { numbered_frames(place)? } else { BTreeMap::new() };
         frames.retain(|number, _| (annotation.onset..=annotation.offset).contains(number));
         if only_key_frames && annotation.apex.is_none() {

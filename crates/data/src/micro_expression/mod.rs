@@ -131,7 +131,9 @@ impl ClipDataset {
         let mut labels = Labels::read(source)?;
         let annotations = std::mem::take(&mut labels.annotations);
         let found = (source.kind.folders)(source, &annotations)?;
-        let Located { clips, dropped, missing } = locate(&labels.dataset, annotations, &found, source)?;
+        let ClipSource { only_key_frames, frames_of_videos, .. } = source;
+        let Located { clips, dropped, missing } =
+            locate(&labels.dataset, annotations, &found, *only_key_frames, frames_of_videos)?;
         if !missing.is_empty() && !allow_missing {
             return Err(MicroExpressionError::missing(&labels.dataset, &found.root, &missing));
         }

@@ -1,19 +1,19 @@
-//! The numeric hyper-parameters that Lightning saves.
+//! The numeric hyper-parameters that Lightning saves, and the settings that srflow saves.
 
 use std::collections::BTreeMap;
 
 use srflow_files::pickle::{Id, Pickle, Value};
 
-/// Key of the dictionary in a Lightning checkpoint.
-const KEY: &str = "hyper_parameters";
+/// Keys of the dictionaries of Lightning and of srflow.
+const KEYS: [&str; 2] = ["hyper_parameters", "srflow"];
 /// Most dictionaries inside one another.
 const MAX_DEPTH: usize = 4;
 
 /// Numbers by name, of dictionaries inside the dictionary too: the first one counts. Booleans are not included.
 pub(super) fn numbers(pickle: &Pickle) -> BTreeMap<String, f64> {
     let mut numbers = BTreeMap::new();
-    if let Some(dictionary) = pickle.entry(pickle.root(), KEY) {
-        let mut left = usize::from(u16::MAX);
+    let mut left = usize::from(u16::MAX);
+    for dictionary in KEYS.into_iter().filter_map(|key| pickle.entry(pickle.root(), key)) {
         collect(pickle, dictionary, MAX_DEPTH, &mut left, &mut numbers);
     }
     numbers

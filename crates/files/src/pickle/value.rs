@@ -1,6 +1,6 @@
 //! Values of a pickle.
 
-/// A value in a [`Pickle`].
+/// A value in a [`Pickle`](super::Pickle).
 pub type Id = usize;
 
 /// A parsed value.

@@ -4,6 +4,7 @@
 //! of a pixel; flow is in pixels, `u` to the right and `v` down, from frame 1 to frame 2, stored at frame 1's pixel.
 
 mod color;
+pub mod dense;
 mod estimator;
 mod excerpt;
 mod flow_colors;
@@ -21,6 +22,7 @@ mod shard;
 mod size;
 mod spares;
 mod stages;
+mod surface_motion;
 mod warp;
 
 pub use color::{Color, parse_color};
@@ -39,4 +41,5 @@ pub use shard::Shard;
 pub use size::Size;
 pub use spares::Spares;
 pub use stages::in_stages;
+pub use surface_motion::SurfaceMotion;
 pub use warp::{Tolerance, forward_backward_check, warp};

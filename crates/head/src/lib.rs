@@ -4,7 +4,6 @@
 
 mod arkit;
 mod builtin;
-pub mod dense;
 mod dress;
 mod error;
 mod flame;

@@ -1,6 +1,6 @@
 //! Normal equations of parameters that all timesteps share, parameters of each timestep, and smoothness between neighbours.
 
-use srflow_head::dense::{inverse, product, subtract_transposed_product};
+use srflow_core::dense::{inverse, product, subtract_transposed_product};
 
 /// What one timestep adds to the normal equations.
 #[derive(Debug, Clone)]

@@ -6,8 +6,8 @@ use serde::Serialize;
 use super::initial::median;
 use super::problem::{Problem, Window, landmarks_in};
 use crate::capture::LANDMARK_COUNT;
+use srflow_core::dense::{inverse, product, subtract_transposed_product};
 use srflow_head::HeadState;
-use srflow_head::dense::{inverse, product, subtract_transposed_product};
 
 /// How well a fit explains its landmarks, and what they determine.
 #[derive(Debug, Clone, PartialEq, Serialize)]

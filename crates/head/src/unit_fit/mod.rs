@@ -9,8 +9,8 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use self::carry::{Carried, CarriedUnit, landmarks};
-use crate::dense::{self, dot};
 use crate::{ActionUnit, HeadModel, HeadPose, Side};
+use srflow_core::dense::{self, dot};
 
 /// Deviation of what an expression need not explain at one landmark, metres, against weights of deviation 1: components are scaled
 /// to the deviations of people.

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::dense;
+use srflow_core::dense;
 
 /// Added to the diagonal of the kernel's matrix, whose entries there are 1: how closely points are met.
 const SMOOTHING: f64 = 1e-3;

@@ -107,7 +107,7 @@ pub fn subtract_transposed_product(out: &mut [f64], a: &[f64], b: &[f64], n: usi
 
 #[cfg(test)]
 mod tests {
-    use srflow_core::random::Key;
+    use crate::random::Key;
 
     use super::*;
 

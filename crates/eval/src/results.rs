@@ -218,6 +218,7 @@ impl Evaluation {
             columns: score_columns().into_iter().chain(columns).collect(),
             rows: self.methods.iter().map(row).collect(),
             notes: self.left_out.clone(),
+            ..Table::default()
         })
     }
 
@@ -268,6 +269,7 @@ impl Evaluation {
                 columns: regions.iter().map(column).collect(),
                 rows: self.methods.iter().map(row).collect(),
                 notes: self.left_out.clone(),
+                ..Table::default()
             }
         };
         match regions.is_empty() {
@@ -304,6 +306,7 @@ impl Evaluation {
             ],
             rows: self.methods.iter().map(row).collect(),
             notes: self.left_out.clone(),
+            ..Table::default()
         })
     }
 
@@ -325,6 +328,7 @@ impl Evaluation {
             columns: improvement_columns(),
             rows,
             notes: vec![against.join(", ")],
+            ..Table::default()
         })
     }
 

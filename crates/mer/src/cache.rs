@@ -3,9 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
-use srflow_files::{FileError, FileKind, create_folder, hexadecimal, read_npy, sha256_of_file, write_npy};
+use srflow_files::{
+    FileError, FileKind, create_folder, hexadecimal, read_npy, read_text, sha256_of_file, write_file,
+    write_npy,
+};
 
 use crate::features::{FEATURE_SIDE, Features};
+use crate::head_motion::{HeadMotion, SubtractedMotion};
 
 /// Incremented when the same recipe gives other features.
 const VERSION: u32 = 1;
@@ -53,24 +57,43 @@ impl FeatureCache {
         Ok(FeatureKey(hexadecimal(digest.finalize())))
     }
 
-    /// The features of a key, if they exist and are intact.
-    pub fn get(&self, key: &FeatureKey) -> Option<Features> {
-        let array = read_npy(&self.file(key)).ok()?;
+    /// The features of a key, and the motion of the head that was subtracted, if both exist and are intact.
+    pub fn get(
+        &self,
+        key: &FeatureKey,
+        head_motion: HeadMotion,
+    ) -> Option<(Features, Option<SubtractedMotion>)> {
+        let array = read_npy(&self.file(key, "npy")).ok()?;
         if array.shape != [3, FEATURE_SIDE, FEATURE_SIDE] {
             return None;
         }
-        Features::from_values(array.values).ok()
+        let subtracted = match head_motion {
+            HeadMotion::Keep => None,
+            HeadMotion::Subtract => {
+                let text = read_text(&self.file(key, "json"), FileKind::Json).ok()?;
+                Some(serde_json::from_str(&text).ok()?)
+            }
+        };
+        Some((Features::from_values(array.values).ok()?, subtracted))
     }
 
-    /// Stores features under a key.
+    /// Stores features under a key, and the motion of the head that was subtracted.
     ///
     /// # Errors
-    /// When the file cannot be written.
-    pub fn put(&self, key: &FeatureKey, features: &Features) -> Result<(), FileError> {
-        write_npy(&self.file(key), &[3, FEATURE_SIDE, FEATURE_SIDE], features.values())
+    /// When a file cannot be written.
+    pub fn put(
+        &self,
+        key: &FeatureKey,
+        features: &Features,
+        subtracted: Option<&SubtractedMotion>,
+    ) -> Result<(), FileError> {
+        if let Some(subtracted) = subtracted {
+            write_file(&self.file(key, "json"), serde_json::to_string(subtracted).expect("numbers"))?;
+        }
+        write_npy(&self.file(key, "npy"), &[3, FEATURE_SIDE, FEATURE_SIDE], features.values())
     }
 
-    fn file(&self, key: &FeatureKey) -> PathBuf {
-        self.folder.join(format!("{}.npy", key.0))
+    fn file(&self, key: &FeatureKey, extension: &str) -> PathBuf {
+        self.folder.join(format!("{}.{extension}", key.0))
     }
 }

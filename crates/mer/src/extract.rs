@@ -13,14 +13,15 @@ use srflow_files::read_image;
 use crate::cache::{FeatureCache, FeatureKey};
 use crate::extract_error::{ExtractError, ExtractProblem};
 use crate::face::FaceCrop;
-use crate::features::{FEATURE_SIDE, Features, Sample};
+use crate::features::{FEATURE_SIDE, Features};
+use crate::head_motion::{HeadMotion, SubtractedMotion};
+use crate::sample::Sample;
 use crate::strain::{StrainFormula, optical_strain};
 
 /// Whether pictures or flow are resized to 112x112. The paper does not say; Off-TANet's code resizes pictures.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ResizeOrder {
     /// Pictures are resized (cubic, as OpenCV), and flow is computed at 112x112.
-    #[default]
     Before,
     /// Flow is computed at the pictures' own size and averaged down to 112x112, in pixels of that size.
     After,
@@ -29,20 +30,38 @@ pub enum ResizeOrder {
 named!(ResizeOrder, "before or after the flow", { Before => "before", After => "after" });
 serialize_as_text!(ResizeOrder);
 
+/// How two faces become features.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FeatureSettings {
+    /// Whether pictures or flow are resized.
+    pub resize: ResizeOrder,
+    pub head_motion: HeadMotion,
+    pub strain: StrainFormula,
+}
+
+impl fmt::Display for FeatureSettings {
+    /// Description for results.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { resize, head_motion, strain } = self;
+        let head = match head_motion {
+            HeadMotion::Keep => "head motion kept",
+            HeadMotion::Subtract => "head motion subtracted within the face",
+        };
+        write!(f, "resized to {FEATURE_SIDE}x{FEATURE_SIDE} {resize} the flow, {head}, {strain} strain")
+    }
+}
+
 /// The settings that features depend on, apart from the pictures and the flow method.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Preparation {
     pub face: FaceCrop,
-    /// Whether pictures or flow are resized.
-    pub resize: ResizeOrder,
-    pub strain: StrainFormula,
+    pub features: FeatureSettings,
 }
 
 impl fmt::Display for Preparation {
     /// Description for results.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { face, resize, strain } = self;
-        write!(f, "{face}, resized to {FEATURE_SIDE}x{FEATURE_SIDE} {resize} the flow, {strain} strain")
+        write!(f, "{}, {}", self.face, self.features)
     }
 }
 
@@ -53,7 +72,7 @@ pub struct Method<'a> {
     pub identity: String,
 }
 
-/// The flow from `onset` to `apex` at the features' size, and its strain.
+/// The flow from `onset` to `apex` at the features' size, and its strain; and the motion of the head that was subtracted.
 ///
 /// # Errors
 /// When the flow method fails, or its flow is not finite.
@@ -61,32 +80,41 @@ pub fn features_of_frames(
     onset: &Image,
     apex: &Image,
     estimator: &dyn FlowEstimator,
-    resize: ResizeOrder,
-    strain: StrainFormula,
-) -> Result<Features, ExtractProblem> {
+    settings: FeatureSettings,
+) -> Result<(Features, Option<SubtractedMotion>), ExtractProblem> {
     const SIZE: (usize, usize) = (FEATURE_SIDE, FEATURE_SIDE);
+    let FeatureSettings { resize, head_motion, strain } = settings;
     let flow = match resize {
         ResizeOrder::Before => estimator.estimate(&resize_cubic(onset, SIZE), &resize_cubic(apex, SIZE))?,
-        ResizeOrder::After => resize_flow_area(&estimator.estimate(onset, apex)?, SIZE),
+        ResizeOrder::After => estimator.estimate(onset, apex)?,
     };
+    let (mut flow, subtracted) = head_motion.applied(flow);
+    if resize == ResizeOrder::After {
+        flow = resize_flow_area(&flow, SIZE);
+    }
     let [u, v] = components(&flow);
-    Ok(Features::new(&u, &v, &optical_strain(&flow, strain))?)
+    // Strain first: the edge of the face is none.
+    let [u, v, strain] = [u, v, optical_strain(&flow, strain)].map(|map| head_motion.within_face(map));
+    Ok((Features::new(&u, &v, &strain)?, subtracted))
 }
 
 fn components(flow: &FlowField) -> [Plane; 2] {
     [0, 1].map(|component| Plane::from_fn(flow.width(), flow.height(), |x, y| flow.get(x, y)[component]))
 }
 
+/// Features of a clip, and the motion of the head that they are without.
+type OfClip = (Features, Option<SubtractedMotion>);
+
 /// What is known of a clip before the flow is estimated.
 enum Prepared {
     /// Features in the cache.
-    Cached(Features),
+    Cached(OfClip),
     /// The faces in its onset and apex frames, and the key for the cache.
     Faces([Image; 2], Option<FeatureKey>),
 }
 
 /// Features of a clip, and the key under which they are to be cached; `None` for those that are.
-type Computed = (Features, Option<FeatureKey>);
+type Computed = (OfClip, Option<FeatureKey>);
 
 /// How features of clips are computed.
 struct Extraction<'a> {
@@ -108,30 +136,30 @@ impl Extraction<'_> {
         let crop = self.preparation.face.of_clip(&clip.dataset, &clip.annotation)?;
         let recipe = || recipe(self.method, &crop, self.preparation);
         let key = self.cache.map(|cache| cache.key(onset, apex, &recipe())).transpose()?;
-        match self.cache.zip(key.as_ref()).and_then(|(cache, key)| cache.get(key)) {
-            Some(features) => Ok(Prepared::Cached(features)),
+        let head_motion = self.preparation.features.head_motion;
+        match self.cache.zip(key.as_ref()).and_then(|(cache, key)| cache.get(key, head_motion)) {
+            Some(of_clip) => Ok(Prepared::Cached(of_clip)),
             None => Ok(Prepared::Faces(read_faces(onset, apex, &crop)?, key)),
         }
     }
 
     fn computed(&self, prepared: Prepared) -> Result<Computed, ExtractProblem> {
         let ([onset, apex], key) = match prepared {
-            Prepared::Cached(features) => return Ok((features, None)),
+            Prepared::Cached(of_clip) => return Ok((of_clip, None)),
             Prepared::Faces(faces, key) => (faces, key),
         };
-        let Preparation { resize, strain, .. } = *self.preparation;
-        Ok((features_of_frames(&onset, &apex, self.method.estimator, resize, strain)?, key))
+        Ok((features_of_frames(&onset, &apex, self.method.estimator, self.preparation.features)?, key))
     }
 
     /// Keeps new features, and reports them.
     fn sample(
         &self,
         clip: &Clip,
-        (features, key): Computed,
+        ((features, head_motion), key): Computed,
         on_clip: &(dyn Fn(Extracted) + Sync),
     ) -> Result<Sample, ExtractProblem> {
         if let (Some(cache), Some(key)) = (self.cache, &key) {
-            cache.put(key, &features)?;
+            cache.put(key, &features, head_motion.as_ref())?;
         }
         on_clip(Extracted { clip: &clip.id(), cached: self.cache.is_some() && key.is_none() });
         Ok(Sample {
@@ -140,6 +168,7 @@ impl Extraction<'_> {
             clip: clip.annotation.clip.clone(),
             class: clip.annotation.class,
             features,
+            head_motion,
         })
     }
 }
@@ -175,7 +204,8 @@ fn read_faces(onset: &Path, apex: &Path, crop: &FrameCrop) -> Result<[Image; 2],
 /// Everything apart from the pictures that the features depend on. The crop is this clip's: other rows of a landmark file may
 /// change.
 fn recipe(method: &Method, crop: &FrameCrop, preparation: &Preparation) -> String {
-    format!("{}\n{crop:?}\n{}\n{}", method.identity, preparation.resize, preparation.strain)
+    let FeatureSettings { resize, head_motion, strain } = preparation.features;
+    format!("{}\n{crop:?}\n{resize}\n{head_motion}\n{strain}", method.identity)
 }
 
 /// Progress of [`extract`].
@@ -202,7 +232,7 @@ pub fn extract(
 ) -> Result<Vec<Sample>, ExtractError> {
     let extraction = Extraction { method, preparation, cache, stop };
     let of = |clip: &Clip, problem| ExtractError { clip: clip.id(), problem };
-    if preparation.resize == ResizeOrder::After {
+    if preparation.features.resize == ResizeOrder::After {
         // Large frames occupy all threads one pair at a time, while the next is read.
         let mut samples = Vec::with_capacity(clips.len());
         in_stages(

@@ -89,17 +89,3 @@ impl Features {
         Plane::from_fn(FEATURE_SIDE, FEATURE_SIDE, |x, y| values[y * FEATURE_SIDE + x])
     }
 }
-
-/// One clip with its features. (dataset, subject, clip) identifies it: clip names repeat across subjects.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Sample {
-    /// The dataset's kind, e.g. `casme2`.
-    pub dataset: String,
-    /// The subject, spelled as in the dataset, e.g. `006`.
-    pub subject: String,
-    /// The clip's name, e.g. `006_1_2`.
-    pub clip: String,
-    /// Class number.
-    pub class: usize,
-    pub features: Features,
-}

@@ -13,6 +13,8 @@ use crate::training::Training;
 pub(crate) struct Example {
     pub(crate) input: Vec<f32>,
     pub(crate) class: usize,
+    /// Number of its subject, within a run.
+    pub(crate) subject: usize,
 }
 
 #[derive(Debug, Clone, PartialEq)]

@@ -4,21 +4,27 @@ mod apex;
 mod cache;
 mod clap;
 mod classifier;
+mod comparison;
 mod extract;
 mod extract_error;
 mod face;
 mod features;
 mod features_file;
 mod fold;
+mod head_motion;
 mod loso;
 mod metrics;
+mod outcome;
 mod predictions;
 mod protocol;
+mod recognition_protocol;
 mod report;
 mod results;
 mod results_csv;
 mod results_folder;
 mod run;
+mod sample;
+mod statistics;
 mod strain;
 mod summary;
 mod training;
@@ -29,33 +35,39 @@ pub use apex::{
 };
 pub use cache::{FeatureCache, FeatureKey, file_digest};
 pub use classifier::{
-    CLASSIFIERS, Classifier, ClassifierEntry, ClassifierFacts, OffApexNet, OffTaNet, StstNet, initialized,
+    CLASSIFIERS, Classifier, ClassifierEntry, ClassifierFacts, INVERSE_STRENGTHS, LogisticRegression,
+    OffApexNet, OffTaNet, StstNet, initialized, validation_losses,
 };
-pub use extract::{Extracted, Method, Preparation, ResizeOrder, extract, features_of_frames};
+pub use comparison::{Comparison, comparisons};
+pub use extract::{
+    Extracted, FeatureSettings, Method, Preparation, ResizeOrder, extract, features_of_frames,
+};
 pub use extract_error::{ExtractError, ExtractProblem};
 pub use face::{FaceCrop, Landmarks};
-pub use features::{Channel, FEATURE_SIDE, FeatureError, Features, Sample};
+pub use features::{Channel, FEATURE_SIDE, FeatureError, Features};
 pub use features_file::{FeatureRecipe, write_features};
+pub use head_motion::{HeadMotion, SubtractedMotion};
 pub use loso::{
     Fold, FoldFolder, FoldRecord, LabelledClip, Loso, LosoError, LosoEvent, folds, leave_one_subject_out,
     leave_one_subject_out_by,
 };
 pub use metrics::{Confusion, Scores};
+pub use outcome::{METRICS, Outcome, OutcomeRecord, by_set};
 pub use predictions::{Prediction, PredictionsError, Trial, read_predictions, write_predictions};
 pub use protocol::{Protocol, ProtocolError};
+pub use recognition_protocol::RecognitionProtocol;
 pub use report::{ReportError, ReportParts, report};
-pub use results::{
-    METRICS, Outcome, OutcomeRecord, by_set, confusion_latex, confusion_title, fold_table, score_tables,
-    unseen_classes,
-};
-pub use results_csv::{confusions_csv, folds_csv, scores_csv};
+pub use results::{confusion_latex, confusion_title, fold_table, score_tables, unseen_classes};
+pub use results_csv::{comparisons_csv, confusions_csv, folds_csv, scores_csv};
 pub use results_folder::{
-    ResultsError, ResultsFolder, ResultsRecord, TABLE_FILES, all_score_tables, write_tables,
+    Origin, ResultsError, ResultsFolder, ResultsRecord, TABLE_FILES, all_score_tables, write_tables,
 };
 pub use run::{
     DataRecord, FeatureSet, RunError, RunEvent, RunFolders, RunMethod, RunResults, RunSettings, RunWatch,
     Sets, TrainedPart, compute_features, run, run_part,
 };
+pub use sample::Sample;
+pub use statistics::{Interval, MEASURES, SIGNIFICANCE, SubjectScores, holm};
 pub use strain::{StrainFormula, optical_strain, strain_colors};
 pub use summary::{Best, EpochScores, FoldScores, Summary, SummaryError};
 pub use training::{Training, cross_entropy};

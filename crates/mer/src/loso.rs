@@ -14,11 +14,11 @@ use srflow_files::{
     FileError, FileKind, create_folder, parse_sealed_json, read_file, sealed_json, write_atomically,
 };
 
-use crate::classifier::Classifier;
-use crate::features::Sample;
-use crate::fold::{Example, Trained, Unfinished, train_fold};
+use crate::classifier::ClassifierEntry;
+use crate::fold::{Example, Trained, Unfinished};
 use crate::predictions::Prediction;
 use crate::protocol::{Protocol, ProtocolError};
+use crate::sample::Sample;
 
 /// Incremented when the same protocol and features give other scores.
 const VERSION: u32 = 1;
@@ -220,7 +220,8 @@ pub fn leave_one_subject_out_by<E: From<LosoError>>(
 ///
 /// # Errors
 /// When there are fewer than two subjects, two clips share a name, training diverges, a fold cannot be stored, or `stop` says so.
-pub fn leave_one_subject_out<C: Classifier>(
+pub fn leave_one_subject_out(
+    classifier: &ClassifierEntry,
     samples: &[Sample],
     classes: &Arc<[String]>,
     protocol: &Protocol,
@@ -228,32 +229,39 @@ pub fn leave_one_subject_out<C: Classifier>(
     on_event: &(dyn Fn(LosoEvent) + Sync),
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Loso, LosoError> {
-    protocol.check()?;
+    classifier.check(protocol)?;
     let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
     let mut folds = folds(&clips)?;
+    let subjects: BTreeSet<[&str; 2]> = clips.iter().map(|clip| [clip.dataset, clip.subject]).collect();
     let store = match folder {
         Some(FoldFolder { path, part }) => {
             folds.truncate(part.end);
             folds.drain(..part.start.min(folds.len()));
-            Some(Store::open::<C>(path, classes, protocol, &sorted(samples))?)
+            Some(Store::open(path, classifier, classes, protocol, &sorted(samples))?)
         }
         None => None,
     };
+    let numbers: BTreeMap<[&str; 2], usize> = subjects.iter().copied().zip(0..).collect();
     let examples: Vec<Example> = samples
         .iter()
-        .map(|sample| Example { input: C::input(&sample.features), class: sample.class })
+        .map(|sample| Example {
+            input: (classifier.input)(&sample.features),
+            class: sample.class,
+            subject: numbers[&[&*sample.dataset, &*sample.subject]],
+        })
         .collect();
+    let recorded = classifier.recorded(protocol);
     let run = |Fold { dataset, subject, tested, training }: &Fold| -> Result<Finished, LosoError> {
         let file = store.as_ref().map(|store| store.file(dataset, subject));
         let clips = training.len();
-        let shape = [protocol.recorded().len(), tested.len(), classes.len()];
+        let shape = [recorded.len(), tested.len(), classes.len()];
         if let Some(finished) = file.as_deref().map(|file| read_fold(file, shape)).transpose()?.flatten() {
             on_event(LosoEvent::Fold { clips, resumed: true });
             return Ok(finished);
         }
         let of = |indices: &[usize]| -> Vec<&Example> { indices.iter().map(|&i| &examples[i]).collect() };
         let name = format!("{dataset}/{subject}");
-        let trained = train_fold::<C>(&name, classes.len(), &of(training), &of(tested), protocol, &|| {
+        let trained = (classifier.train)(&name, classes.len(), &of(training), &of(tested), protocol, &|| {
             on_event(LosoEvent::Epoch { clips });
             !stop()
         });
@@ -271,7 +279,7 @@ pub fn leave_one_subject_out<C: Classifier>(
         Ok(finished)
     };
     let finished = each_on_one_thread(&folds, run)?;
-    Ok(assembled(&clips, classes, &protocol.recorded(), &folds, finished))
+    Ok(assembled(&clips, classes, &recorded, &folds, finished))
 }
 
 /// The results of all folds, with predictions at these `epochs`.
@@ -370,18 +378,19 @@ struct FoldFile {
 }
 
 impl Store {
-    fn open<C: Classifier>(
+    fn open(
         folder: &Path,
+        classifier: &ClassifierEntry,
         classes: &[String],
         protocol: &Protocol,
         samples: &[&Sample],
     ) -> Result<Self, FileError> {
         create_folder(folder)?;
         let mut digest = Sha256::new();
-        digest.update(format!("srflow fold {VERSION}\n{}\n{}\n", C::FACTS.name, protocol.identity()));
+        digest.update(format!("srflow fold {VERSION}\n{}\n", classifier.identity(protocol)));
         digest.update(format!("{classes:?}\n"));
         for sample in samples {
-            let Sample { dataset, subject, clip, class, features } = sample;
+            let Sample { dataset, subject, clip, class, features, .. } = sample;
             digest.update(format!("{dataset:?} {subject:?} {clip:?} {}\n", classes[*class]));
             features.values().iter().for_each(|value| digest.update(value.to_le_bytes()));
         }

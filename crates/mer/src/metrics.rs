@@ -41,15 +41,13 @@ impl Confusion {
         confusion
     }
 
-    /// The sum of both.
-    #[must_use]
-    pub fn plus(mut self, other: &Self) -> Self {
+    /// Adds the clips of another.
+    pub fn add(&mut self, other: &Self) {
         for (row, other) in self.0.iter_mut().zip(&other.0) {
             for (count, other) in row.iter_mut().zip(other) {
                 *count += other;
             }
         }
-        self
     }
 
     /// The same clips, all predicted as one class.

@@ -36,14 +36,21 @@ pub struct Protocol {
     pub seed: u64,
 }
 
-/// A value is out of range.
+/// Why a protocol cannot be followed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{name} is {value}; expected {expected}")]
-pub struct ProtocolError {
-    pub name: &'static str,
-    pub value: f64,
-    /// The allowed values.
-    pub expected: &'static str,
+pub enum ProtocolError {
+    /// A value is out of range.
+    #[error("{name} is {value}; expected {expected}")]
+    Range {
+        name: &'static str,
+        value: f64,
+        /// The allowed values.
+        expected: &'static str,
+    },
+    #[error(
+        "the {classifier} classifier is trained at once and has no use for `{setting}`; leave it out, or choose another `classifier`, such as off-tanet"
+    )]
+    AtOnce { classifier: &'static str, setting: &'static str },
 }
 
 impl Default for Protocol {
@@ -73,15 +80,31 @@ impl Protocol {
             ("number of epochs between decays", self.decay_every),
         ] {
             if value == 0 {
-                return Err(ProtocolError { name, value: 0.0, expected: "at least 1" });
+                return Err(ProtocolError::Range { name, value: 0.0, expected: "at least 1" });
             }
         }
         let range = |name, value: f64, largest: f64, expected| {
             let fits = value > 0.0 && value <= largest;
-            if fits { Ok(()) } else { Err(ProtocolError { name, value, expected }) }
+            if fits { Ok(()) } else { Err(ProtocolError::Range { name, value, expected }) }
         };
         range("learning rate", self.learning_rate, f64::MAX, "a number above 0")?;
         range("decay of the learning rate", self.decay, 1.0, "a number above 0, up to 1")
+    }
+
+    /// The name of the first value that is not the default.
+    pub(crate) fn first_changed(&self) -> Option<&'static str> {
+        let Self { epochs, record_every, batch, learning_rate, decay_every, decay, seed } = self;
+        let default = Self::default();
+        let changed = [
+            ("epochs", *epochs != default.epochs),
+            ("record_every", *record_every != default.record_every),
+            ("batch", *batch != default.batch),
+            ("learning_rate", *learning_rate != default.learning_rate),
+            ("decay_every", *decay_every != default.decay_every),
+            ("decay", *decay != default.decay),
+            ("seed", *seed != default.seed),
+        ];
+        changed.into_iter().find_map(|(name, changed)| changed.then_some(name))
     }
 
     /// All values as a text that identifies stored folds. It must not change: folds of another text are trained again.

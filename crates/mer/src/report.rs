@@ -11,9 +11,11 @@ use srflow_report::{color_scale, flow_scale, shrink_image};
 use crate::extract::faces_of_clip;
 use crate::extract_error::ExtractError;
 use crate::face::FaceCrop;
-use crate::features::{Channel, FEATURE_SIDE, Sample};
+use crate::features::{Channel, FEATURE_SIDE};
+use crate::outcome::{Outcome, by_set};
 use crate::predictions::{Prediction, Trial};
-use crate::results::{Outcome, baseline_name, by_set, fold_table, score_tables, unseen_classes};
+use crate::results::{baseline_name, fold_table, score_tables, unseen_classes};
+use crate::sample::Sample;
 use crate::strain::strain_colors;
 
 /// Clips shown for each method and set.
@@ -63,7 +65,9 @@ pub fn report(parts: &ReportParts) -> Result<Page, ReportError> {
             .iter()
             .map(|table| score_table(table, TABLE_CAPTION))
             .collect();
-        figures.push(side_by_side(vec![accuracies(&outcomes), losses(&outcomes)], 420));
+        if outcomes.iter().any(|outcome| outcome.summary.epochs.len() > 1) {
+            figures.push(side_by_side(vec![accuracies(&outcomes), losses(&outcomes)], 420));
+        }
         figures.push(side_by_side(outcomes.iter().map(|outcome| confusion(outcome)).collect(), 420));
         figures.extend(
             outcomes.iter().map(|outcome| {
@@ -96,13 +100,13 @@ const SECTION_LEAD: &str = "Scores are computed for each held-out subject and av
     paper; UF1 and UAR are MEGC 2019's, computed from the pooled predictions.";
 
 const TABLE_CAPTION: &str = "P, R and F1 are macro averages over the classes among a subject's labels and predictions, F1_μ \
-    is the accuracy, G the geometric mean of the recalls. The best epoch is chosen on the test clips themselves and is \
-    optimistic; the last epoch is fixed before training.";
+    is the accuracy, G the geometric mean of the recalls. Intervals are bootstrapped over subjects. Where there are several epochs, \
+    the last is fixed before training, and the best, chosen on the test clips themselves, is optimistic.";
 
 fn confusion(outcome: &Outcome) -> Figure {
     let last = outcome.summary.last();
     let chart = Chart::new(
-        format!("{}: confusion matrix after epoch {}", outcome.method, last.epoch),
+        format!("{}: confusion matrix{}", outcome.method, outcome.summary.after_last()),
         "predicted class",
         "true class",
         "",

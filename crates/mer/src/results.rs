@@ -1,175 +1,89 @@
-//! Runs as tables: the SRFlow paper's (best three marked), those of a fixed epoch, confusion matrices and folds.
+//! Runs as tables: scores after the last epoch and their intervals, the paper's at the best epochs, confusion matrices, folds.
 
-use serde::Serialize;
 use srflow_report::{Better, Column, Row, Table, latex_escape};
 
-use crate::loso::{FoldRecord, Loso};
-use crate::metrics::{Confusion, Scores};
-use crate::predictions::Trial;
-use crate::summary::{EpochScores, FoldScores, Summary, SummaryError};
+use crate::comparison::{comparisons, marked};
+use crate::loso::FoldRecord;
+use crate::metrics::Confusion;
+use crate::outcome::{MEASURE_KEYS, METRICS, Outcome};
+use crate::summary::{EpochScores, FoldScores};
 
-/// Keys and headers of the paper's metrics, in its order.
-pub const METRICS: [(&str, &str); 5] =
-    [("p_m", "P_M"), ("r_m", "R_M"), ("f1_m", "F1_M"), ("f1_mu", "F1_μ"), ("g_m", "G_M")];
+/// Columns of [`MEASURE_KEYS`] that tables give intervals for.
+const WITH_INTERVALS: [usize; 3] = [3, 5, 6];
 
-/// One method's leave-one-subject-out run over one set of clips.
-#[derive(Debug, Clone)]
-pub struct Outcome {
-    pub method: String,
-    /// A dataset's name, or `composite`.
-    pub set: String,
-    /// Training of each fold; `None` if only the predictions are known.
-    pub folds: Vec<FoldRecord>,
-    pub summary: Summary,
-}
-
-impl Outcome {
-    /// Scores a run.
-    ///
-    /// # Errors
-    /// When its predictions are incomplete.
-    pub fn of(method: &str, set: &str, loso: &Loso) -> Result<Self, SummaryError> {
-        let summary = Summary::of(&loso.classes, &loso.predictions)?;
-        Ok(Self { method: method.to_owned(), set: set.to_owned(), folds: loso.folds.clone(), summary })
-    }
-
-    /// Scores predictions without data on their training.
-    ///
-    /// # Errors
-    /// When they are incomplete.
-    pub fn of_trial(trial: &Trial) -> Result<Self, SummaryError> {
-        let Trial { method, set, classes, predictions } = trial;
-        let summary = Summary::of(classes, predictions)?;
-        Ok(Self { method: method.clone(), set: set.clone(), folds: Vec::new(), summary })
-    }
-
-    /// All numbers, as JSON.
-    pub fn record(&self) -> OutcomeRecord {
-        let metric = |((key, _), best): (&(&'static str, &str), crate::summary::Best)| BestRecord {
-            metric: key,
-            value: best.value,
-            epoch: best.epoch,
-        };
-        OutcomeRecord {
-            method: self.method.clone(),
-            set: self.set.clone(),
-            best: METRICS.iter().zip(self.summary.best()).map(metric).collect(),
-            last: EpochRecord::of(self.summary.last()),
-            epochs: self.summary.epochs.iter().map(EpochRecord::of).collect(),
-            baseline: BaselineRecord {
-                always: self.summary.classes[self.summary.most_frequent_class()].clone(),
-                scores: EpochRecord::of(&self.summary.baseline()),
-            },
-            folds: self.folds.clone(),
-        }
-    }
-}
-
-/// The stored form of [`Outcome`].
-#[derive(Debug, Clone, Serialize)]
-pub struct OutcomeRecord {
-    method: String,
-    set: String,
-    best: Vec<BestRecord>,
-    last: EpochRecord,
-    epochs: Vec<EpochRecord>,
-    baseline: BaselineRecord,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    folds: Vec<FoldRecord>,
-}
-
-/// The baseline that always predicts one class.
-#[derive(Debug, Clone, Serialize)]
-struct BaselineRecord {
-    always: String,
-    #[serde(flatten)]
-    scores: EpochRecord,
-}
-
-#[derive(Debug, Clone, Serialize)]
-struct BestRecord {
-    metric: &'static str,
-    value: f64,
-    epoch: usize,
-}
-
-#[derive(Debug, Clone, Serialize)]
-struct EpochRecord {
-    epoch: usize,
-    #[serde(flatten)]
-    mean: Scores,
-    uf1: f64,
-    uar: f64,
-    /// `[truth][predicted]`.
-    confusion: Vec<Vec<usize>>,
-}
-
-impl EpochRecord {
-    fn of(EpochScores { epoch, mean, pooled }: &EpochScores) -> Self {
-        let (uf1, uar) = (pooled.uf1(), pooled.uar());
-        Self { epoch: *epoch, mean: *mean, uf1, uar, confusion: pooled.0.clone() }
-    }
-}
-
-/// Groups outcomes by set; sets and outcomes are in order of first appearance.
-pub fn by_set(outcomes: &[Outcome]) -> Vec<Vec<&Outcome>> {
-    let mut sets: Vec<Vec<&Outcome>> = Vec::new();
-    for outcome in outcomes {
-        match sets.iter_mut().find(|set| set[0].set == outcome.set) {
-            Some(set) => set.push(outcome),
-            None => sets.push(vec![outcome]),
-        }
-    }
-    sets
-}
-
-/// Two tables of the outcomes of one set: the paper's, in which each metric takes its own best epoch, and one after each
-/// method's last epoch, with MEGC 2019's metrics. Where methods were trained for different numbers of epochs, the second has
-/// a column for them. Both have an unranked row for always predicting the most frequent class. `outcomes` are of one set and not empty.
+/// Tables of the outcomes of one set: scores after each method's last epoch, with a column for it where methods differ; bounds
+/// of three of them; and where predictions of several epochs were recorded, the paper's, in which each metric takes its own best
+/// epoch. The first has an unranked row for always predicting the most frequent class, and marks what `comparisons` found best.
+/// `outcomes` are of one set.
 pub fn score_tables(outcomes: &[&Outcome], left_out: &[String]) -> Vec<Table> {
     let Some(first) = outcomes.first() else { return Vec::new() };
-    let ranked = |&(key, header): &(&str, &str)| Column::ranked(key, header, Better::Higher);
     let row =
         |name: &str, values: Vec<Option<f64>>, baseline| Row { name: name.to_owned(), values, baseline };
-    let paper: Vec<Column> = METRICS.iter().map(ranked).collect();
-    let pooled = [("uf1", "UF1"), ("uar", "UAR")];
-    let mut all: Vec<Column> = METRICS.iter().chain(&pooled).map(ranked).collect();
-    let at_epoch = |scores: &EpochScores| {
-        let pooled = [scores.pooled.uf1(), scores.pooled.uar()];
-        scores.mean.values().into_iter().chain(pooled).map(Some).collect::<Vec<_>>()
-    };
-    let baseline = first.summary.baseline();
-    let mut best: Vec<Row> = outcomes
-        .iter()
-        .map(|o| row(&o.method, o.summary.best().map(|best| Some(best.value)).to_vec(), false))
-        .collect();
-    best.push(row(&baseline_name(first), baseline.mean.values().map(Some).to_vec(), true));
-    let mut last: Vec<Row> =
-        outcomes.iter().map(|o| row(&o.method, at_epoch(o.summary.last()), false)).collect();
-    last.push(row(&baseline_name(first), at_epoch(&baseline), true));
-
-    let epoch = first.summary.last().epoch;
-    let after = if outcomes.iter().all(|outcome| outcome.summary.last().epoch == epoch) {
-        format!("after epoch {epoch}")
-    } else {
-        all.insert(0, Column::plain("epoch", "epoch", 0));
-        let epochs = outcomes.iter().map(|outcome| Some(outcome.summary.last().epoch as f64));
-        for (row, epoch) in last.iter_mut().zip(epochs.chain([None])) {
-            row.values.insert(0, epoch);
-        }
-        "after each method's last epoch".to_owned()
-    };
     let counted = format!(
         "{}: {} clips, {} subjects",
         first.set,
         first.summary.last().pooled.total(),
         first.summary.folds.len()
     );
-    let table = |title, columns, rows| Table { title, columns, rows, notes: left_out.to_vec() };
-    vec![
-        table(format!("{counted}; each metric at its best epoch"), paper, best),
-        table(format!("{counted}; {after}, fixed beforehand"), all, last),
-    ]
+    let mut tables = vec![last_table(outcomes, first, &counted)];
+    let bounds = |outcome: &&Outcome| {
+        let intervals = outcome.last_scores().intervals();
+        let of = |measure: usize| [intervals[measure].low, intervals[measure].high].map(Some);
+        row(&outcome.method, WITH_INTERVALS.into_iter().flat_map(of).collect(), false)
+    };
+    let bound = |measure: usize| {
+        let (key, header) = MEASURE_KEYS[measure];
+        [("low", "from"), ("high", "to")]
+            .map(|(end, word)| Column::plain(&format!("{key}_{end}"), &format!("{header} {word}"), 4))
+    };
+    tables.push(Table {
+        title: format!("{counted}; 95 % intervals over subjects"),
+        columns: WITH_INTERVALS.into_iter().flat_map(bound).collect(),
+        rows: outcomes.iter().map(bounds).collect(),
+        ..Table::default()
+    });
+    if outcomes.iter().any(|outcome| outcome.summary.epochs.len() > 1) {
+        let best =
+            |o: &&Outcome| row(&o.method, o.summary.best().map(|best| Some(best.value)).to_vec(), false);
+        tables.push(Table {
+            title: format!("{counted}; each metric at its best epoch, chosen on the test clips themselves"),
+            columns: METRICS.iter().map(|(key, header)| Column::plain(key, header, 4)).collect(),
+            rows: outcomes.iter().map(best).collect(),
+            ..Table::default()
+        });
+    }
+    tables[0].notes = left_out.to_vec();
+    tables
+}
+
+fn last_table(outcomes: &[&Outcome], first: &Outcome, counted: &str) -> Table {
+    let mut columns: Vec<Column> =
+        MEASURE_KEYS.iter().map(|(key, header)| Column::ranked(key, header, Better::Higher)).collect();
+    let row = |name: &str, scores: &EpochScores, baseline| {
+        let pooled = [scores.pooled.uf1(), scores.pooled.uar()];
+        let values = scores.mean.values().into_iter().chain(pooled).map(Some).collect();
+        Row { name: name.to_owned(), values, baseline }
+    };
+    let mut rows: Vec<Row> = outcomes.iter().map(|o| row(&o.method, o.summary.last(), false)).collect();
+    rows.push(row(&baseline_name(first), &first.summary.baseline(), true));
+    let marked = marked(outcomes, &comparisons(outcomes));
+    let mut tested: Vec<Vec<bool>> = marked.into_iter().map(|row| row.to_vec()).collect();
+    let epoch = first.summary.last().epoch;
+    let same = outcomes.iter().all(|outcome| outcome.summary.last().epoch == epoch);
+    let after = match (same, outcomes.iter().any(|outcome| outcome.summary.epochs.len() > 1)) {
+        (true, false) => String::new(),
+        (true, true) => format!("; after epoch {epoch}, fixed beforehand"),
+        (false, _) => {
+            columns.insert(0, Column::plain("epoch", "epoch", 0));
+            let epochs = outcomes.iter().map(|outcome| Some(outcome.summary.last().epoch as f64));
+            for (row, epoch) in rows.iter_mut().zip(epochs.chain([None])) {
+                row.values.insert(0, epoch);
+            }
+            tested.iter_mut().for_each(|row| row.insert(0, false));
+            "; after each method's last epoch, fixed beforehand".to_owned()
+        }
+    };
+    Table { title: format!("{counted}{after}"), columns, rows, tested: Some(tested), ..Table::default() }
 }
 
 /// Name of the row of the baseline, e.g. `always negative`.
@@ -209,7 +123,7 @@ pub fn unseen_classes(outcome: &Outcome) -> Option<String> {
 /// The title of an outcome's confusion matrix, e.g. `samm, tvl1: confusion matrix after epoch 200`.
 pub fn confusion_title(outcome: &Outcome) -> String {
     let Outcome { set, method, summary, .. } = outcome;
-    format!("{set}, {method}: confusion matrix after epoch {}", summary.last().epoch)
+    format!("{set}, {method}: confusion matrix{}", summary.after_last())
 }
 
 /// The confusion matrix after the last epoch, all folds pooled, as a LaTeX `tabular`: a row for each true class, a column for
@@ -244,12 +158,7 @@ pub fn fold_table(outcome: &Outcome) -> Table {
         }
     }
     Table {
-        title: format!(
-            "{}, {}: subjects after epoch {}",
-            outcome.set,
-            outcome.method,
-            outcome.summary.last().epoch
-        ),
+        title: format!("{}, {}: subjects{}", outcome.set, outcome.method, outcome.summary.after_last()),
         columns,
         rows,
         ..Table::default()

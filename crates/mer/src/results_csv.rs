@@ -3,30 +3,50 @@
 use serde::Serialize;
 use srflow_report::csv_text;
 
-use crate::results::{METRICS, Outcome, baseline_name, by_set};
-use crate::summary::EpochScores;
+use crate::comparison::{Comparison, comparisons};
+use crate::outcome::{MEASURE_KEYS, METRICS, Outcome, by_set};
+use crate::results::baseline_name;
+use crate::statistics::{MEASURES, SubjectScores};
 
-/// The rows of [`crate::score_tables`]: `scored` is `best`, where each metric has its own epoch, or `last`.
+/// The rows of [`crate::score_tables`]: `scored` is `last`, with bounds over subjects, or `best`, where each metric has its own epoch.
 pub fn scores_csv(outcomes: &[Outcome]) -> String {
+    const NONE: [Option<f64>; MEASURES] = [None; MEASURES];
     let mut lines = Vec::new();
     for of_set in by_set(outcomes) {
         let first = of_set[0];
-        for Outcome { method, set, summary, .. } in of_set.iter().copied() {
-            let best = summary.best().map(|best| best.value);
-            lines.push((set, method.clone(), "best", None, best, [None; 2]));
-            let (epoch, scores, pooled) = after_last(summary.last());
-            lines.push((set, method.clone(), "last", Some(epoch), scores, pooled));
+        for outcome in of_set.iter().copied() {
+            let Outcome { method, set, summary, .. } = outcome;
+            let last = outcome.last_scores();
+            let intervals = last.intervals();
+            let (low, high) = (intervals.map(|i| Some(i.low)), intervals.map(|i| Some(i.high)));
+            let epoch = Some(summary.last().epoch);
+            lines.push((set, method.clone(), "last", epoch, last.measures().map(Some), low, high));
+            if summary.epochs.len() > 1 {
+                let best = summary.best();
+                let best = std::array::from_fn(|measure| best.get(measure).map(|best| best.value));
+                lines.push((set, method.clone(), "best", None, best, NONE, NONE));
+            }
         }
         // A baseline has no epoch.
-        let (_, scores, pooled) = after_last(&first.summary.baseline());
-        lines.push((&first.set, baseline_name(first), "last", None, scores, pooled));
+        let baseline = SubjectScores::new(&first.summary.baseline_folds()).measures().map(Some);
+        lines.push((&first.set, baseline_name(first), "last", None, baseline, NONE, NONE));
     }
-    let names = ["set", "method", "scored", "epoch"];
-    text(&[&names[..], &METRICS.map(|(key, _)| key), &["uf1", "uar"]].concat(), &lines)
+    let keys = || MEASURE_KEYS.iter().map(|(key, _)| *key);
+    let bounds = ["low", "high"].iter().flat_map(|end| keys().map(move |key| format!("{key}_{end}")));
+    let bounds: Vec<String> = bounds.collect();
+    let names = ["set", "method", "scored", "epoch"].into_iter().chain(keys());
+    text(&names.chain(bounds.iter().map(String::as_str)).collect::<Vec<_>>(), &lines)
 }
 
-fn after_last(EpochScores { epoch, mean, pooled }: &EpochScores) -> (usize, [f64; 5], [Option<f64>; 2]) {
-    (*epoch, mean.values(), [pooled.uf1(), pooled.uar()].map(Some))
+/// Every pair of rows of each set with its [`Comparison`](crate::Comparison)s.
+pub fn comparisons_csv(outcomes: &[Outcome]) -> String {
+    let found = by_set(outcomes).into_iter().flat_map(|of_set| comparisons(&of_set));
+    let lines: Vec<_> = found
+        .map(|Comparison { set, methods: [first, second], metric, difference, p }| {
+            (set, first, second, metric, difference, p)
+        })
+        .collect();
+    text(&["set", "method", "other", "metric", "difference", "p"], &lines)
 }
 
 /// Each subject's scores after the last epoch.

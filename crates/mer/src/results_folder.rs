@@ -1,23 +1,28 @@
 //! The folder of a run's results.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+use srflow_data::micro_expression::Clip;
 use srflow_eval::MethodRecord;
 use srflow_files::{FileError, FileProblem, create_folder, write_file};
 use srflow_report::{Table, TextStyle, joined, latex_file, markdown_file};
 
 use crate::apex::ApexRule;
+use crate::comparison::{Comparison, comparisons};
+use crate::head_motion::SubtractedMotion;
+use crate::outcome::{Outcome, OutcomeRecord, by_set};
 use crate::predictions::write_predictions;
 use crate::protocol::Protocol;
 use crate::report::{ReportError, ReportParts, report};
-use crate::results::{Outcome, OutcomeRecord, by_set, confusion_latex, confusion_title, score_tables};
-use crate::results_csv::{confusions_csv, folds_csv, scores_csv};
-use crate::run::{DataRecord, RunResults};
+use crate::results::{confusion_latex, confusion_title, score_tables};
+use crate::results_csv::{comparisons_csv, confusions_csv, folds_csv, scores_csv};
+use crate::run::{DataRecord, FeatureSet, RunResults};
 
 /// The files with tables, as [`write_tables`] writes them.
-pub const TABLE_FILES: [&str; 6] =
-    ["tables.txt", "tables.csv", "tables.tex", "tables.md", "folds.csv", "confusions.csv"];
+pub const TABLE_FILES: [&str; 7] =
+    ["tables.txt", "tables.csv", "tables.tex", "tables.md", "folds.csv", "confusions.csv", "comparisons.csv"];
 const PREDICTIONS: &str = "predictions.csv";
 const REPORT: &str = "report.html";
 /// Written last: its existence marks the results as complete.
@@ -43,34 +48,82 @@ pub enum ResultsError {
     Report(#[from] ReportError),
 }
 
+/// When, where and by which job results were computed.
+#[derive(Debug, Clone, Serialize)]
+pub struct Origin {
+    /// As in RFC 3339.
+    pub date: String,
+    pub machine: String,
+    /// Every setting of the job.
+    pub job: serde_json::Value,
+}
+
 /// The contents of `results.json`.
 #[derive(Debug, Serialize)]
 pub struct ResultsRecord<'a> {
+    protocol_name: &'static str,
+    preparation: String,
+    classifier: &'static str,
+    /// Of the training, where it has epochs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    protocol: Option<&'a Protocol>,
+    srflow: &'static str,
+    #[serde(flatten)]
+    origin: &'a Origin,
     data: &'a [DataRecord],
     classes: &'a [String],
     methods: &'a [MethodRecord],
-    classifier: &'static str,
-    preparation: String,
     apex: Option<&'static str>,
-    protocol: &'a Protocol,
-    machine: &'a str,
     outcomes: Vec<OutcomeRecord>,
+    comparisons: Vec<Comparison>,
+    clips: Vec<ClipRecord<'a>>,
+}
+
+/// A clip as it was used.
+#[derive(Debug, Serialize)]
+struct ClipRecord<'a> {
+    dataset: &'a str,
+    subject: &'a str,
+    clip: &'a str,
+    onset: u64,
+    apex: Option<u64>,
+    /// Whether the apex was spotted, not annotated.
+    apex_spotted: bool,
+    /// The motion of the head that was subtracted from each method's flow.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    head_motion: BTreeMap<&'a str, SubtractedMotion>,
 }
 
 impl<'a> ResultsRecord<'a> {
-    /// The record of results computed on `machine`.
-    pub fn of(results: &'a RunResults, machine: &'a str) -> Self {
+    pub fn of(results: &'a RunResults, origin: &'a Origin) -> Self {
         let settings = &results.settings;
+        let FeatureSet { data, clips, samples, apex_spotted } = &results.features;
+        let clip = |(number, clip): (usize, &'a Clip)| ClipRecord {
+            dataset: &clip.dataset,
+            subject: &clip.annotation.subject,
+            clip: &clip.annotation.clip,
+            onset: clip.annotation.onset,
+            apex: clip.annotation.apex,
+            apex_spotted: apex_spotted[number],
+            head_motion: samples
+                .iter()
+                .filter_map(|(method, samples)| Some((method.as_str(), samples[number].head_motion?)))
+                .collect(),
+        };
         Self {
-            data: &results.data,
+            protocol_name: settings.recognition.name(),
+            preparation: settings.preparation.to_string(),
+            classifier: settings.classifier.facts.name,
+            protocol: settings.classifier.by_epochs.then_some(&settings.protocol),
+            srflow: env!("CARGO_PKG_VERSION"),
+            origin,
+            data,
             classes: &settings.classes,
             methods: &results.methods,
-            classifier: settings.classifier.facts.name,
-            preparation: settings.preparation.to_string(),
             apex: settings.apex.map(ApexRule::name),
-            protocol: &settings.protocol,
-            machine,
             outcomes: results.outcomes.iter().map(Outcome::record).collect(),
+            comparisons: by_set(&results.outcomes).iter().flat_map(|of_set| comparisons(of_set)).collect(),
+            clips: clips.iter().enumerate().map(clip).collect(),
         }
     }
 }
@@ -109,7 +162,7 @@ impl ResultsFolder {
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn write(&self, results: &RunResults, machine: &str) -> Result<(), ResultsError> {
+    pub fn write(&self, results: &RunResults, origin: &Origin) -> Result<(), ResultsError> {
         create_folder(&self.folder)?;
         let last = self.file(RESULTS);
         match std::fs::remove_file(&last) {
@@ -120,37 +173,48 @@ impl ResultsFolder {
             }
             _ => {}
         }
-        write_tables(&self.folder, &results.outcomes, &results.settings.left_out)?;
+        let heading = results.settings.heading();
+        write_tables(&self.folder, Some(&heading), &results.outcomes, &results.settings.left_out)?;
         write_predictions(&self.file(PREDICTIONS), &results.trials)?;
         let parts = ReportParts {
             outcomes: &results.outcomes,
             left_out: &results.settings.left_out,
             trials: &results.trials,
-            samples: &results.samples,
-            clips: &results.clips,
+            samples: &results.features.samples,
+            clips: &results.features.clips,
             face: &results.settings.preparation.face,
             facts: facts(results),
-            machine: machine.to_owned(),
+            machine: origin.machine.clone(),
         };
         write_file(&self.report(), report(&parts)?.html())?;
-        let record = serde_json::to_string_pretty(&ResultsRecord::of(results, machine));
+        let record = serde_json::to_string_pretty(&ResultsRecord::of(results, origin));
         Ok(write_file(&last, record.expect("numbers and text") + "\n")?)
     }
 }
 
-/// Writes [`TABLE_FILES`]; see [`all_score_tables`].
+/// Writes [`TABLE_FILES`]; see [`all_score_tables`]. The tables for people begin with a heading.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write_tables(folder: &Path, outcomes: &[Outcome], left_out: &[String]) -> Result<(), FileError> {
+pub fn write_tables(
+    folder: &Path,
+    heading: Option<&str>,
+    outcomes: &[Outcome],
+    left_out: &[String],
+) -> Result<(), FileError> {
     let scores = all_score_tables(outcomes, left_out);
-    let texts: [String; 6] = [
-        joined(&scores, |table| table.text(TextStyle::Plain)),
+    let headed = |before: &str, text: &str| match heading {
+        Some(heading) => format!("{before}{heading}\n\n{text}"),
+        None => text.to_owned(),
+    };
+    let texts: [String; 7] = [
+        headed("", &joined(&scores, |table| table.text(TextStyle::Plain))),
         scores_csv(outcomes),
-        latex(&scores, outcomes),
-        markdown_file(&scores),
+        headed("% ", &latex(&scores, outcomes)),
+        headed("", &markdown_file(&scores)),
         folds_csv(outcomes),
         confusions_csv(outcomes),
+        comparisons_csv(outcomes),
     ];
     TABLE_FILES.iter().zip(texts).try_for_each(|(name, text)| write_file(&folder.join(name), text))
 }
@@ -169,7 +233,7 @@ fn latex(scores: &[Table], outcomes: &[Outcome]) -> String {
 /// Settings of a run for the report: names and values.
 fn facts(results: &RunResults) -> Vec<(String, String)> {
     let mut facts: Vec<(String, String)> = Vec::new();
-    for data in &results.data {
+    for data in &results.features.data {
         let mut text =
             format!("{} clips of {} subjects, {} rows left out", data.clips, data.subjects, data.dropped);
         if data.spotted_apexes > 0 {
@@ -181,18 +245,21 @@ fn facts(results: &RunResults) -> Vec<(String, String)> {
         facts.push((data.dataset.clone(), text));
     }
     let settings = &results.settings;
-    let Protocol { epochs, record_every, batch, learning_rate, decay_every, decay, seed } =
-        &settings.protocol;
     facts.push(("Classes".to_owned(), settings.classes.join(", ")));
+    facts.push(("Protocol".to_owned(), settings.recognition.to_string()));
     facts.push(("Frames".to_owned(), settings.preparation.to_string()));
     facts.extend(results.methods.iter().map(|method| (method.name.clone(), method.description())));
     facts.push(("Classifier".to_owned(), settings.classifier.facts.name.to_owned()));
-    facts.push((
-        "Training".to_owned(),
-        format!(
-            "{epochs} epochs, recorded every {record_every}, batch {batch}, Adam {learning_rate}, times {decay} every \
-             {decay_every} epochs, seed {seed}"
-        ),
-    ));
+    if settings.classifier.by_epochs {
+        let Protocol { epochs, record_every, batch, learning_rate, decay_every, decay, seed } =
+            &settings.protocol;
+        facts.push((
+            "Training".to_owned(),
+            format!(
+                "{epochs} epochs, recorded every {record_every}, batch {batch}, Adam {learning_rate}, times {decay} every \
+                 {decay_every} epochs, seed {seed}"
+            ),
+        ));
+    }
     facts
 }

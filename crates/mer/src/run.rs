@@ -15,11 +15,12 @@ use crate::clap::ValueEnum;
 use crate::classifier::ClassifierEntry;
 use crate::extract::{Extracted, Method, Preparation, extract};
 use crate::extract_error::{ExtractError, ExtractProblem};
-use crate::features::Sample;
-use crate::loso::{FoldFolder, Loso, LosoError, LosoEvent};
+use crate::loso::{FoldFolder, Loso, LosoError, LosoEvent, leave_one_subject_out};
+use crate::outcome::Outcome;
 use crate::predictions::Trial;
 use crate::protocol::{Protocol, ProtocolError};
-use crate::results::Outcome;
+use crate::recognition_protocol::RecognitionProtocol;
+use crate::sample::Sample;
 use crate::summary::SummaryError;
 
 /// Name of the set that combines all datasets.
@@ -28,6 +29,8 @@ const COMPOSITE: &str = "composite";
 /// The settings that a run's results depend on, apart from clips and flow methods.
 #[derive(Debug, Clone)]
 pub struct RunSettings {
+    /// The protocol that was named; what it stands for may be set otherwise below.
+    pub recognition: RecognitionProtocol,
     pub classifier: ClassifierEntry,
     /// The sets of clips to evaluate.
     pub sets: Sets,
@@ -122,14 +125,10 @@ pub struct TrainedPart {
 #[derive(Debug)]
 pub struct RunResults {
     pub settings: RunSettings,
-    /// The data used, by dataset.
-    pub data: Vec<DataRecord>,
+    /// The clips with their features.
+    pub features: FeatureSet,
     /// The flow methods, in the order of the results.
     pub methods: Vec<MethodRecord>,
-    /// The clips, each with its apex.
-    pub clips: Vec<Clip>,
-    /// Features of the clips, by flow method.
-    pub samples: Vec<(String, Vec<Sample>)>,
     /// Predictions, by set, then flow method.
     pub trials: Vec<Trial>,
     /// Scores of each trial, in the same order.
@@ -194,12 +193,18 @@ impl From<ExtractError> for RunError {
 }
 
 impl RunSettings {
+    /// The first line of results: the protocol, the frames and the classifier.
+    pub fn heading(&self) -> String {
+        let Self { recognition, preparation, classifier, .. } = self;
+        format!("Protocol {recognition}: {preparation}; classifier {classifier}")
+    }
+
     /// Checks whether these datasets can be evaluated.
     ///
     /// # Errors
     /// When the protocol is out of range, or a set has fewer than two subjects.
     pub fn check(&self, datasets: &[ClipDataset]) -> Result<(), RunError> {
-        self.protocol.check()?;
+        self.classifier.check(&self.protocol)?;
         if datasets.len() < 2 && self.sets == Sets::Composite {
             return Err(RunError::Composite(datasets.len()));
         }
@@ -235,9 +240,8 @@ pub fn run(
             trials.push(Trial { method: method.to_owned(), set: set.to_owned(), classes, predictions });
             Ok(())
         })?;
-    let FeatureSet { data, clips, samples } = features;
     let methods = methods.into_iter().map(|method| method.record).collect();
-    Ok(RunResults { settings, data, methods, clips, samples, trials, outcomes })
+    Ok(RunResults { settings, features, methods, trials, outcomes })
 }
 
 /// Trains the folds of one part of a run, and stores them in `folders`, where [`run`] finds them.
@@ -274,7 +278,7 @@ fn train_folds(
         compute_features(datasets, methods, settings.apex, preparation, Some(folders.features), watch)?;
     let FeatureSet { data, samples, .. } = &features;
 
-    let epochs = protocol.epochs as u64;
+    let epochs = classifier.epochs(protocol) as u64;
     let subjects = |members: &[String]| -> usize {
         data.iter().filter(|data| members.contains(&data.dataset)).map(|data| data.subjects).sum()
     };
@@ -309,7 +313,7 @@ fn train_folds(
             let of_set: Vec<Sample> = of_set.cloned().collect();
             let folder = Some(FoldFolder { path: folders.folds, part: of_part });
             let loso =
-                classifier.leave_one_subject_out(&of_set, classes, protocol, folder, &on_fold, watch.stop);
+                leave_one_subject_out(classifier, &of_set, classes, protocol, folder, &on_fold, watch.stop);
             let loso = loso.map_err(|error| match error {
                 LosoError::Stopped => RunError::Stopped,
                 error => RunError::Training { set: set.clone(), method: method.clone(), error },
@@ -328,6 +332,8 @@ pub struct FeatureSet {
     pub data: Vec<DataRecord>,
     /// The clips of all datasets, each with its apex.
     pub clips: Vec<Clip>,
+    /// For each clip whether its apex was spotted, not annotated.
+    pub apex_spotted: Vec<bool>,
     /// Features of the clips, in order, by flow method.
     pub samples: Vec<(String, Vec<Sample>)>,
 }
@@ -347,11 +353,13 @@ pub fn compute_features(
 ) -> Result<FeatureSet, RunError> {
     let RunWatch { on_event, stop } = watch;
     let cache = cache.map(FeatureCache::open).transpose()?;
-    let mut data = Vec::new();
+    let unknown = |clip: &Clip| clip.annotation.apex.is_none();
+    let (mut data, mut apex_spotted) = (Vec::new(), Vec::new());
     for dataset in &mut datasets {
+        apex_spotted.extend(dataset.clips.iter().map(unknown));
         let spotted_apexes = match (apex, methods.first()) {
             (Some(rule), Some(method)) => {
-                let without = dataset.clips.iter().filter(|clip| clip.annotation.apex.is_none()).count();
+                let without = dataset.clips.iter().filter(|clip| unknown(clip)).count();
                 on_event(RunEvent::Apexes { clips: without });
                 let on_clip = || on_event(RunEvent::Clip);
                 fill_apexes(&mut dataset.clips, rule, &preparation.face, method.estimator, &on_clip)?
@@ -369,7 +377,7 @@ pub fn compute_features(
         let of_method = extract(&clips, &method, preparation, cache.as_ref(), &on_clip, stop)?;
         samples.push((record.name.clone(), of_method));
     }
-    Ok(FeatureSet { data, clips, samples })
+    Ok(FeatureSet { data, clips, apex_spotted, samples })
 }
 
 /// The sets by name, each with the names of its datasets.

@@ -123,7 +123,8 @@ impl Summary {
         let at = |(index, epoch)| {
             let confusions = folds.iter().map(|fold: &FoldScores| &fold.confusions[index]);
             let scores: Vec<Scores> = confusions.clone().map(Confusion::scores).collect();
-            let pooled = confusions.fold(Confusion::new(classes.len()), Confusion::plus);
+            let mut pooled = Confusion::new(classes.len());
+            confusions.for_each(|confusion| pooled.add(confusion));
             EpochScores { epoch, mean: Scores::mean(&scores), pooled }
         };
         let epochs: Vec<EpochScores> = epochs.into_iter().enumerate().map(at).collect();
@@ -149,16 +150,26 @@ impl Summary {
         &self.epochs[self.epochs.len() - 1]
     }
 
+    /// ` after epoch 200`; nothing if no other epoch was recorded.
+    pub(crate) fn after_last(&self) -> String {
+        if self.epochs.len() > 1 { format!(" after epoch {}", self.last().epoch) } else { String::new() }
+    }
+
     /// The most frequent class, the first of equal ones: the baseline predicts it for every clip.
     pub fn most_frequent_class(&self) -> usize {
         self.last().pooled.most_frequent()
     }
 
+    /// Each fold's confusions if [`most_frequent_class`](Self::most_frequent_class) is always predicted.
+    pub(crate) fn baseline_folds(&self) -> Vec<Confusion> {
+        let class = self.most_frequent_class();
+        self.folds.iter().map(|fold| fold.confusions[0].always(class)).collect()
+    }
+
     /// The scores of always predicting [`most_frequent_class`](Self::most_frequent_class).
     pub fn baseline(&self) -> EpochScores {
         let class = self.most_frequent_class();
-        let confusions: Vec<Confusion> =
-            self.folds.iter().map(|fold| fold.confusions[0].always(class)).collect();
+        let confusions = self.baseline_folds();
         let scores: Vec<Scores> = confusions.iter().map(Confusion::scores).collect();
         EpochScores { epoch: 0, mean: Scores::mean(&scores), pooled: self.last().pooled.always(class) }
     }

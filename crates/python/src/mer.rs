@@ -8,9 +8,9 @@ use pyo3::exceptions::{PyKeyError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use srflow_mer::{
-    CLASSIFIERS, ClassifierEntry, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError, LosoEvent,
-    Outcome, Prediction, Protocol, ResizeOrder, Sample, StrainFormula, Summary, features_of_frames,
-    leave_one_subject_out_by, optical_strain,
+    CLASSIFIERS, ClassifierEntry, FeatureSettings, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError,
+    LosoEvent, Outcome, Prediction, Protocol, RecognitionProtocol, Sample, StrainFormula, Summary,
+    features_of_frames, leave_one_subject_out, leave_one_subject_out_by, optical_strain,
 };
 
 use crate::arrays;
@@ -28,17 +28,21 @@ fn named<T: std::str::FromStr<Err = String>>(name: &str, value: &str) -> PyResul
 
 /// What classifiers see of a clip: the flow from its onset to its apex at 112 x 112, and the optical strain.
 ///
-/// Frames are uint8, H x W x 3 (RGB) or H x W, of one size. `method` and the options are those of `srflow.flow`. `resize` says whether the
-/// frames are resized "before" the flow is estimated, or the flow "after"; `strain` is the formula, "literature" or "off-tanet".
+/// Frames are uint8, H x W x 3 (RGB) or H x W, of one size. `method` and the options are those of `srflow.flow`. `protocol` is "srflow" or
+/// "paper"; where given, `resize` says whether the frames are resized "before" the flow is estimated, or the flow "after", and
+/// `head_motion` whether to "keep" the head's motion or to "subtract" it. `strain` is the formula, "literature" or "off-tanet".
 ///
 /// Returns float32, 3 x 112 x 112: u, v (pixels of 112 x 112) and strain, as `srflow mer features` writes them.
 #[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
 #[pyo3(signature = (
     onset: "ArrayLike",
     apex: "ArrayLike",
     method: "str | None" = None,
     *,
-    resize: "str" = "before",
+    protocol: "str" = "srflow",
+    resize: "str | None" = None,
+    head_motion: "str | None" = None,
     strain: "str" = "literature",
     **options: "Any"
 ) -> "NDArray[np.float32]")]
@@ -47,7 +51,9 @@ pub fn features<'py>(
     onset: &Bound<'py, PyAny>,
     apex: &Bound<'py, PyAny>,
     method: Option<String>,
-    resize: &str,
+    protocol: &str,
+    resize: Option<&str>,
+    head_motion: Option<&str>,
     strain: &str,
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
@@ -58,10 +64,16 @@ pub fn features<'py>(
             "the frames differ in size: the onset is {width}x{height}, the apex {other_width}x{other_height}"
         )));
     }
-    let (resize, strain): (ResizeOrder, StrainFormula) = (named("resize", resize)?, named("strain", strain)?);
+    let protocol = named::<RecognitionProtocol>("protocol", protocol)?.features();
+    let settings = FeatureSettings {
+        resize: resize.map_or(Ok(protocol.resize), |resize| named("resize", resize))?,
+        head_motion: head_motion.map_or(Ok(protocol.head_motion), |what| named("head_motion", what))?,
+        strain: named("strain", strain)?,
+    };
     let estimator = load(py, method, options)?;
-    let found = compute(py, move || features_of_frames(&onset, &apex, &*estimator, resize, strain))?;
-    arrays::new_array(py, found.map_err(exception)?.values().to_vec(), &[3, 112, 112])
+    let found = compute(py, move || features_of_frames(&onset, &apex, &*estimator, settings))?;
+    let (features, _) = found.map_err(exception)?;
+    arrays::new_array(py, features.values().to_vec(), &[3, 112, 112])
 }
 
 /// Optical strain of a flow: how much it stretches and shears the skin.
@@ -207,6 +219,7 @@ impl Clips {
                 clip: self.clip[index].clone(),
                 class: self.class[index],
                 features: features.map_err(exception)?,
+                head_motion: None,
             })
         };
         features.enumerate().map(sample).collect()
@@ -312,8 +325,8 @@ impl Training {
 ///
 /// `classifier` is a function `(train_inputs, train_labels, test_inputs) -> predictions` that is called for each subject with rows of `X` and
 /// `y` and returns numbers of classes; `X` then holds anything, one row per clip. Or it is the name of a built-in classifier,
-/// "off-tanet" (default), "ststnet" or "off-apexnet", for `X` of float32, N x 3 x 112 x 112; `epochs`, `record_every`, `batch`,
-/// `learning_rate` and `seed` are then those of `srflow mer run` (the paper's by default), and finished subjects are kept in `folder`, from
+/// "linear" (default), "off-tanet", "ststnet" or "off-apexnet", for `X` of float32, N x 3 x 112 x 112; `epochs`, `record_every`, `batch`,
+/// `learning_rate` and `seed` are then those of `srflow mer run` (the paper's by default, for networks alone), and finished subjects are kept in `folder`, from
 /// which the same call continues.
 ///
 /// `callback` is called with progress, a dict with `done` and `total`; when it raises an exception, the run stops.
@@ -436,7 +449,7 @@ fn built_in<'py>(
 ) -> PyResult<Loso> {
     let py = inputs.py();
     let entry = match classifier {
-        None => &CLASSIFIERS[0],
+        None => &ClassifierEntry::LINEAR,
         Some(name) => {
             let names = CLASSIFIERS.each_ref().map(|entry| entry.facts.name).join(", ");
             if !name.is_instance_of::<PyString>() {
@@ -453,8 +466,8 @@ fn built_in<'py>(
         }
     };
     let protocol = training.protocol();
-    let (mut done, total) = (0_usize, clips.clip_epochs(protocol.epochs));
-    let epochs = protocol.epochs;
+    let epochs = entry.epochs(&protocol);
+    let (mut done, total) = (0_usize, clips.clip_epochs(epochs));
     let on_event = |event| {
         match event {
             LosoEvent::Epoch { clips } => done += clips,
@@ -467,7 +480,7 @@ fn built_in<'py>(
     let found = compute_reporting(py, on_event, move |reporter| {
         let (on_event, stop) = (|event| reporter.report(event), || reporter.stops());
         let folder = folder.as_deref().map(FoldFolder::from);
-        entry.leave_one_subject_out(&samples, &classes, &protocol, folder, &on_event, &stop)
+        leave_one_subject_out(entry, &samples, &classes, &protocol, folder, &on_event, &stop)
     })?;
     found.map_err(exception)
 }

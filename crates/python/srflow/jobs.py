@@ -1311,6 +1311,7 @@ def mer_synth(
     lighting: float = 1,
     seed: int = 1,
     flow_format: str = "flo",
+    only_key_frames: bool = False,
     shard: str = "1/1",
     stop_after: int | None = None,
     force: bool = False,
@@ -1330,6 +1331,7 @@ def mer_synth(
         lighting: Illumination changes; 1 is slow changes of up to 2 %, with a gradient over the face, and 0.3 % flicker at 100 Hz.
         seed: Random seed.
         flow_format: File format of the true flow.
+        only_key_frames: Write the onset and apex frames alone: all that features need.
         shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         stop_after: Stop after N pairs, clips or timesteps; the same command continues.
         force: Delete the dataset in the folder and start over.
@@ -1449,7 +1451,8 @@ def mer_strain(
     viz_max: float | None = None,
     method: str = "srflow",
     formula: str = "literature",
-    resize: str = "before",
+    resize: str | None = None,
+    head_motion: str = "subtract",
     size: str = "112x112",
     force: bool = False,
     refine: bool = False,
@@ -1492,7 +1495,8 @@ def mer_strain(
         viz_max: Strain drawn white [default: the largest].
         method: How to estimate the flow: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; a network followed by its weights, as in raft=FILE; srflow has its own.
         formula: Formula: literature or off-tanet.
-        resize: Resize to 112x112: the frames before estimating the flow, or the flow after.
+        resize: Resize to 112x112: the frames before estimating the flow, or the flow after [default: after].
+        head_motion: The head's motion in the flow: keep or subtract.
         size: Size of the result.
         force: Overwrite existing files.
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
@@ -1543,7 +1547,9 @@ def mer_features(
     only_key_frames: bool = False,
     apex: str | None = None,
     strain: str = "literature",
-    resize: str = "before",
+    protocol: str | None = None,
+    resize: str | None = None,
+    head_motion: str | None = None,
     face: str | None = None,
     face_index: int | None = None,
     face_models: Path | None = None,
@@ -1593,7 +1599,9 @@ def mer_features(
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
         apex: How to spot the apex of clips without one: ratio or strain.
         strain: Formula of the optical strain: literature or off-tanet.
-        resize: Resize to 112x112: the frames before estimating the flow, or the flow after.
+        protocol: Protocol: srflow (what recognizes most) or paper (the SRFlow paper's) [default: srflow; paper for --rows paper-tables-7-to-10].
+        resize: Resize to 112x112: the frames before estimating the flow, or the flow after [default: the protocol's].
+        head_motion: The head's motion in the flow: keep or subtract [default: the protocol's].
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
         face_index: Face to use if there are several; 1 is the leftmost.
         face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
@@ -1640,7 +1648,7 @@ def mer_run(
     out: Path,
     *,
     method: str | Sequence[str] | None = None,
-    classifier: str = "off-tanet",
+    classifier: str | None = None,
     sets: str = "both",
     force: bool = False,
     cache: Path | None = None,
@@ -1657,7 +1665,9 @@ def mer_run(
     only_key_frames: bool = False,
     apex: str | None = None,
     strain: str = "literature",
-    resize: str = "before",
+    protocol: str | None = None,
+    resize: str | None = None,
+    head_motion: str | None = None,
     face: str | None = None,
     face_index: int | None = None,
     face_models: Path | None = None,
@@ -1699,9 +1709,9 @@ def mer_run(
 
     Args:
         data: Datasets.
-        out: Folder for tables.{txt,csv,tex,md}, folds.csv, confusions.csv, predictions.csv, results.json and report.html.
+        out: Folder for tables.{txt,csv,tex,md}, folds.csv, confusions.csv, comparisons.csv, predictions.csv, results.json and report.html.
         method: How to estimate the flow from onset to apex: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
-        classifier: Classifier of the features.
+        classifier: Classifier of the features [default: the protocol's, linear or off-tanet].
         sets: Train on each dataset, on all together, or both.
         force: Overwrite these files.
         cache: Folder that caches features, for other runs too [default: features in --out].
@@ -1718,7 +1728,9 @@ def mer_run(
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
         apex: How to spot the apex of clips without one: ratio or strain.
         strain: Formula of the optical strain: literature or off-tanet.
-        resize: Resize to 112x112: the frames before estimating the flow, or the flow after.
+        protocol: Protocol: srflow (what recognizes most) or paper (the SRFlow paper's) [default: srflow; paper for --rows paper-tables-7-to-10].
+        resize: Resize to 112x112: the frames before estimating the flow, or the flow after [default: the protocol's].
+        head_motion: The head's motion in the flow: keep or subtract [default: the protocol's].
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
         face_index: Face to use if there are several; 1 is the leftmost.
         face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
@@ -1774,7 +1786,7 @@ def mer_tables(
 
     Args:
         predictions: Predictions of one or several methods.
-        out: Also write tables.{txt,csv,tex,md}, folds.csv and confusions.csv into this folder.
+        out: Also write tables.{txt,csv,tex,md}, folds.csv, confusions.csv and comparisons.csv into this folder.
         force: Overwrite these files.
         callback: Called with progress.
     """

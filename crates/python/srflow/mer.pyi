@@ -31,7 +31,9 @@ def features(
     apex: ArrayLike,
     method: str | None = None,
     *,
-    resize: str = "before",
+    protocol: str = "srflow",
+    resize: str | None = None,
+    head_motion: str | None = None,
     strain: str = "literature",
     **options: Any,
 ) -> NDArray[np.float32]: ...

@@ -9,17 +9,20 @@ def test_features_are_those_of_the_command(frames, tmp_path, command):
     onset, apex, _ = frames
     for name, image in [("a.ppm", onset), ("b.ppm", apex)]:
         (tmp_path / name).write_bytes(b"P6 96 64 255\n" + image.tobytes())
-    for resize, formula in [("before", "literature"), ("after", "off-tanet")]:
+    for resize, head_motion, formula in [("before", "keep", "literature"), ("after", "subtract", "off-tanet")]:
         out = tmp_path / f"{resize}.npy"
-        options = ["--method", "tvl1", "--warps", 2, "--resize", resize, "--formula", formula]
+        options = ["--method", "tvl1", "--warps", 2, "--resize", resize, "--head-motion", head_motion, "--formula", formula]
         arguments = ["-o", tmp_path / f"{resize}-strain.npy", "--features", out, *options]
         ran = command("mer", "strain", tmp_path / "a.ppm", tmp_path / "b.ppm", *arguments)
         assert ran.returncode == 0, ran.stderr
-        features = srflow.mer.features(onset, apex, "tvl1", resize=resize, strain=formula, warps=2)
+        features = srflow.mer.features(onset, apex, "tvl1", resize=resize, head_motion=head_motion, strain=formula, warps=2)
         assert features.dtype == np.float32 and features.shape == (3, 112, 112)
         assert np.array_equal(features, np.load(out))
-        strain = srflow.mer.strain(features[:2].transpose(1, 2, 0), formula)
-        assert np.array_equal(strain, features[2])
+        if head_motion == "keep":
+            strain = srflow.mer.strain(features[:2].transpose(1, 2, 0), formula)
+            assert np.array_equal(strain, features[2])
+    paper = srflow.mer.features(onset, apex, "tvl1", protocol="paper", warps=2)
+    assert np.array_equal(paper, srflow.mer.features(onset, apex, "tvl1", resize="before", head_motion="keep", warps=2))
     with pytest.raises(ValueError, match="the onset is 96x64, the apex 96x32"):
         srflow.mer.features(onset, apex[:32])
     with pytest.raises(ValueError, match="resize: `during` is not .* expected one of before, after"):
@@ -129,7 +132,7 @@ def test_wrong_runs_are_errors():
         srflow.mer.loso(data | {"clip": ["a"] * 24}, nearest_mean)
     with pytest.raises(ValueError, match="epochs is for the built-in classifiers"):
         srflow.mer.loso(data, nearest_mean, epochs=3)
-    with pytest.raises(ValueError, match="classifier: expected a function or one of off-tanet, .* found `svm`"):
+    with pytest.raises(ValueError, match="classifier: expected a function or one of linear, .* found `svm`"):
         srflow.mer.loso(data, "svm")
     with pytest.raises(ValueError, match="X: expected features, float32 24 x 3 x 112 x 112, found float64 24 x 2"):
         srflow.mer.loso(data, "ststnet")

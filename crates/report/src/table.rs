@@ -69,6 +69,10 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// The rows, in the order they are shown.
     pub rows: Vec<Row>,
+    /// By row and column, what a test found best or no worse than the best: it is marked in place of the best three. A column
+    /// without any is not decided.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tested: Option<Vec<Vec<bool>>>,
     /// What a reader of the rows must know, a sentence each; shown below them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
@@ -90,6 +94,14 @@ impl Table {
     /// rounded values; baselines, missing and non-finite values have none.
     pub fn marks(&self) -> Vec<Vec<Option<Mark>>> {
         let mut marks = vec![vec![None; self.columns.len()]; self.rows.len()];
+        if let Some(tested) = &self.tested {
+            for (marks, tested) in marks.iter_mut().zip(tested) {
+                for (mark, best) in marks.iter_mut().zip(tested) {
+                    *mark = best.then_some(Mark::Best);
+                }
+            }
+            return marks;
+        }
         for (c, column) in self.columns.iter().enumerate() {
             let Some(better) = column.better else { continue };
             // The shown digits as a number, negated where larger is better, so that smaller is always better.
@@ -110,6 +122,18 @@ impl Table {
             }
         }
         marks
+    }
+
+    /// What marks say, in the order of [`Mark`]; nothing where no value has one.
+    pub fn legend(&self) -> &'static [(Mark, &'static str)] {
+        match &self.tested {
+            _ if !self.ranked() => &[],
+            None => &[(Mark::Best, "best"), (Mark::Second, "second"), (Mark::Third, "third")],
+            Some(tested) if tested.iter().flatten().any(|marked| *marked) => {
+                &[(Mark::Best, "best, or not told apart from it by a paired test over subjects")]
+            }
+            Some(_) => &[],
+        }
     }
 
     /// Whether any column is ranked: the rows of such a table are methods.
@@ -152,22 +176,20 @@ impl Table {
                 out.push_str(&format!("  {}\n", "─".repeat(rule)));
             }
         }
-        if !self.ranked() && self.notes.is_empty() {
+        let legend = self.legend();
+        if legend.is_empty() && self.notes.is_empty() {
             return out;
         }
         out.push('\n');
         self.notes.iter().for_each(|note| out += &format!("  {}\n", srflow_core::excerpt(note)));
-        if !self.ranked() {
+        if legend.is_empty() {
             return out;
         }
-        out.push_str(&match style {
-            TextStyle::Plain => "  best **   second *   third _\n".to_owned(),
-            TextStyle::Ansi => {
-                let word = |mark, text| format!("{}{text}{}", ansi(mark).0, ansi(mark).1);
-                let [best, second] = [word(Mark::Best, "best"), word(Mark::Second, "second")];
-                format!("  {best}   {second}   {}\n", word(Mark::Third, "third"))
-            }
-        });
+        let word = |(mark, text): &(Mark, &str)| match style {
+            TextStyle::Plain => format!("{text} {}", plain_suffix(style, Some(*mark)).trim_end()),
+            TextStyle::Ansi => format!("{}{text}{}", ansi(*mark).0, ansi(*mark).1),
+        };
+        out.push_str(&format!("  {}\n", legend.iter().map(word).collect::<Vec<_>>().join("   ")));
         out
     }
 

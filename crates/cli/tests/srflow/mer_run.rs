@@ -1,6 +1,8 @@
 //! `srflow mer run` from clips on disk to tables, resumed and refused.
 
+use std::collections::BTreeMap;
 use std::fs;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
@@ -67,6 +69,14 @@ fn clips_become_tables_and_a_second_run_gives_the_same_bytes() {
     let results: Value = serde_json::from_str(&read("results.json")).unwrap();
     assert_eq!(results["data"][0]["subjects"], 3);
     assert_eq!(results["outcomes"][0]["folds"][2]["clips"], 1);
+    assert_eq!(results["protocol_name"], "srflow");
+    assert_eq!((&results["protocol"]["epochs"], &results["job"]["record_every"]), (&3.into(), &2.into()));
+    assert_eq!(
+        (&results["clips"][0]["apex"], &results["clips"][0]["apex_spotted"]),
+        (&2.into(), &false.into())
+    );
+    let motion = results["clips"][0]["head_motion"]["farneback"]["translation_px"][1].as_f64().unwrap();
+    assert!(motion.abs() < 4.0, "{motion}");
 
     refuses(&run(&clips, &out, &[]), 1, &["--force"]);
     let predictions = read("predictions.csv");
@@ -81,6 +91,48 @@ fn clips_become_tables_and_a_second_run_gives_the_same_bytes() {
     assert_eq!(fs::read_to_string(elsewhere.join("predictions.csv")).unwrap(), predictions);
 }
 
+#[test]
+fn protocols_name_what_they_do() {
+    let (folder, clips) = faces();
+    let run = |out: &str, more: &[&str]| {
+        crate::srflow()
+            .args([
+                "mer",
+                "run",
+                "--data",
+                &format!("clips:{}", clips.display()),
+                "--method",
+                "farneback",
+                "--out",
+            ])
+            .arg(folder.path().join(out))
+            .args(more)
+            .output()
+            .unwrap()
+    };
+    let heading = |out: &str| {
+        let text = fs::read_to_string(folder.path().join(out).join("tables.txt")).unwrap();
+        text.lines().next().unwrap().to_owned()
+    };
+    let printed = succeeds(&run("ours", &[]));
+    assert_eq!(
+        heading("ours"),
+        "Protocol srflow: whole frames, resized to 112x112 after the flow, head motion subtracted within the face, literature \
+         strain; classifier linear"
+    );
+    assert!(printed.starts_with(&heading("ours")) && !printed.contains("best epoch"), "{printed}");
+    assert!(printed.contains("7 clips, 3 subjects; 95 % intervals over subjects"), "{printed}");
+    succeeds(&run("paper", &["--protocol", "paper", "--epochs", "1"]));
+    assert_eq!(
+        heading("paper"),
+        "Protocol paper: whole frames, resized to 112x112 before the flow, head motion kept, literature strain; classifier \
+         off-tanet"
+    );
+    let refused = run("epochs", &["--epochs", "21"]);
+    refuses(&refused, 1, &["the linear classifier is trained at once and has no use for --epochs"]);
+    assert!(!folder.path().join("epochs").exists(), "before any work");
+}
+
 fn tables(arguments: &[&Path]) -> Output {
     crate::srflow().args(["mer", "tables"]).args(arguments).output().unwrap()
 }
@@ -91,8 +143,13 @@ fn assert_recomputed(out: &Path) {
     let again = out.join("again");
     let predictions = out.join("predictions.csv");
     let printed = succeeds(&tables(&[&predictions, Path::new("--out"), &again]));
-    assert_eq!(printed, read(out, "tables.txt"));
-    for name in ["tables.txt", "tables.csv", "tables.tex", "tables.md", "confusions.csv"] {
+    // The first line of a run names its protocol, which predictions do not know.
+    let headed = |name: &str, text: &str| format!("{}\n\n{text}", read(out, name).lines().next().unwrap());
+    assert_eq!(headed("tables.txt", &printed), read(out, "tables.txt"));
+    for name in ["tables.txt", "tables.tex", "tables.md"] {
+        assert_eq!(headed(name, &read(&again, name)), read(out, name), "{name}");
+    }
+    for name in ["tables.csv", "confusions.csv", "comparisons.csv"] {
         assert_eq!(read(&again, name), read(out, name), "{name}");
     }
     // The training loss, last in a line, cannot.
@@ -161,9 +218,21 @@ fn features_of_key_frames_are_those_of_whole_clips() {
     fs::rename(clips.join("anna-negative/3.png"), clips.join("anna-negative/10.png")).unwrap();
     refuses(&features("key.npz", &[]), 1, &["--only-key-frames"]);
     succeeds(&features("key.npz", &["--only-key-frames"]));
-    // The pictures, and so the features, are unchanged; so is the recipe.
-    let bytes = |name: &str| fs::read(folder.path().join(name)).unwrap();
-    assert!(bytes("key.npz") == bytes("whole.npz"));
+    // The pictures, and so the features, are unchanged; so is the recipe. The offset has moved.
+    let archive = |name: &str| {
+        let mut archive = zip::ZipArchive::new(fs::File::open(folder.path().join(name)).unwrap()).unwrap();
+        let mut arrays = BTreeMap::new();
+        for index in 0..archive.len() {
+            let mut array = archive.by_index(index).unwrap();
+            let mut bytes = Vec::new();
+            array.read_to_end(&mut bytes).unwrap();
+            arrays.insert(array.name().unwrap().into_owned(), bytes);
+        }
+        arrays
+    };
+    let (mut key, mut whole) = (archive("key.npz"), archive("whole.npz"));
+    assert_ne!(key.remove("offset.npy"), whole.remove("offset.npy"));
+    assert!(key == whole);
 }
 
 #[test]

@@ -1,5 +1,6 @@
-//! Networks that classify a clip by its features: one file per network, and a table of all in `table.rs`.
+//! What classifies a clip by its features: one file per classifier, and a table of all in `table.rs`.
 
+mod linear;
 mod offapexnet;
 mod offtanet;
 mod ststnet;
@@ -10,6 +11,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use srflow_core::random::{Key, Stream};
 use srflow_nn::{ParameterInfo, Parameters, parameter_infos, with_parameters};
 
+pub use linear::{INVERSE_STRENGTHS, LogisticRegression, validation_losses};
 pub use offapexnet::OffApexNet;
 pub use offtanet::OffTaNet;
 pub use ststnet::StstNet;

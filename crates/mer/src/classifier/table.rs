@@ -2,41 +2,48 @@
 
 use std::fmt;
 use std::str::FromStr;
-use std::sync::Arc;
 
 use srflow_core::serialize_as_text;
 
-use super::{Classifier, ClassifierFacts, OffApexNet, OffTaNet, StstNet};
-use crate::features::Sample;
-use crate::loso::{FoldFolder, Loso, LosoError, LosoEvent, leave_one_subject_out};
-use crate::protocol::Protocol;
+use super::{Classifier, ClassifierFacts, OffApexNet, OffTaNet, StstNet, linear};
+use crate::features::Features;
+use crate::fold::{Example, Trained, Unfinished, train_fold};
+use crate::protocol::{Protocol, ProtocolError};
 
 /// Any of the classifiers, as one type.
 #[derive(Debug, Clone, Copy)]
 pub struct ClassifierEntry {
     pub facts: ClassifierFacts,
-    leave_one_subject_out: LeaveOneSubjectOut,
+    /// Whether it is trained in epochs, by the training protocol; otherwise at once.
+    pub by_epochs: bool,
+    pub(crate) input: fn(&Features) -> Vec<f32>,
+    pub(crate) train: TrainFold,
 }
 
-type LeaveOneSubjectOut = fn(
-    &[Sample],
-    &Arc<[String]>,
-    &Protocol,
-    Option<FoldFolder>,
-    &(dyn Fn(LosoEvent) + Sync),
-    &(dyn Fn() -> bool + Sync),
-) -> Result<Loso, LosoError>;
+/// Trains on examples and scores others, for a fold with a name and a number of classes. The function is called after each
+/// epoch and says whether to go on.
+pub(crate) type TrainFold =
+    fn(&str, usize, &[&Example], &[&Example], &Protocol, &dyn Fn() -> bool) -> Result<Trained, Unfinished>;
 
-/// The classifiers by name; the first is the SRFlow paper's.
-pub static CLASSIFIERS: [ClassifierEntry; 3] = [
-    ClassifierEntry::of::<OffTaNet>(),
+/// The classifiers by name.
+pub static CLASSIFIERS: [ClassifierEntry; 4] = [
+    ClassifierEntry::LINEAR,
+    ClassifierEntry::OFF_TANET,
     ClassifierEntry::of::<StstNet>(),
     ClassifierEntry::of::<OffApexNet>(),
 ];
 
 impl ClassifierEntry {
-    const fn of<C: Classifier>() -> Self {
-        Self { facts: C::FACTS, leave_one_subject_out: leave_one_subject_out::<C> }
+    /// Logistic regression.
+    pub const LINEAR: Self =
+        Self { facts: linear::FACTS, by_epochs: false, input: linear::input, train: linear::train_fold };
+
+    /// The SRFlow paper's.
+    pub const OFF_TANET: Self = Self::of::<OffTaNet>();
+
+    /// The entry of a network.
+    pub const fn of<C: Classifier>() -> Self {
+        Self { facts: C::FACTS, by_epochs: true, input: C::input, train: train_fold::<C> }
     }
 
     /// The classifier with this name.
@@ -44,26 +51,31 @@ impl ClassifierEntry {
         CLASSIFIERS.iter().find(|entry| entry.facts.name == name)
     }
 
-    /// [`leave_one_subject_out`] with this classifier.
+    /// Number of passes over the training clips.
+    pub fn epochs(&self, protocol: &Protocol) -> usize {
+        if self.by_epochs { protocol.epochs } else { 1 }
+    }
+
+    /// Epochs whose predictions are recorded, in order.
+    pub fn recorded(&self, protocol: &Protocol) -> Vec<usize> {
+        if self.by_epochs { protocol.recorded() } else { vec![0] }
+    }
+
+    /// Checks every value of a protocol.
     ///
     /// # Errors
-    /// Those of [`leave_one_subject_out`].
-    pub fn leave_one_subject_out(
-        &self,
-        samples: &[Sample],
-        classes: &Arc<[String]>,
-        protocol: &Protocol,
-        folder: Option<FoldFolder>,
-        on_event: &(dyn Fn(LosoEvent) + Sync),
-        stop: &(dyn Fn() -> bool + Sync),
-    ) -> Result<Loso, LosoError> {
-        (self.leave_one_subject_out)(samples, classes, protocol, folder, on_event, stop)
+    /// Names the first value out of range, or the first that this classifier has no use for.
+    pub fn check(&self, protocol: &Protocol) -> Result<(), ProtocolError> {
+        match protocol.first_changed().filter(|_| !self.by_epochs) {
+            Some(setting) => Err(ProtocolError::AtOnce { classifier: self.facts.name, setting }),
+            None => protocol.check(),
+        }
     }
-}
 
-impl Default for ClassifierEntry {
-    fn default() -> Self {
-        CLASSIFIERS[0]
+    /// Everything about the training that results depend on, apart from clips: it identifies stored folds.
+    pub(crate) fn identity(&self, protocol: &Protocol) -> String {
+        let name = self.facts.name;
+        if self.by_epochs { format!("{name}\n{}", protocol.identity()) } else { name.to_owned() }
     }
 }
 

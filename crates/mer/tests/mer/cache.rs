@@ -1,7 +1,7 @@
 //! The cache of features.
 
 use srflow_files::write_npy;
-use srflow_mer::{FeatureCache, Features};
+use srflow_mer::{FeatureCache, Features, HeadMotion, SubtractedMotion};
 
 fn features(value: f32) -> Features {
     Features::from_values(vec![value; Features::LEN]).unwrap()
@@ -15,9 +15,9 @@ fn features_are_found_again_until_anything_changes() {
     std::fs::write(&apex, "apex").unwrap();
     let cache = FeatureCache::open(&folder.path().join("cache")).unwrap();
     let key = cache.key(&onset, &apex, "farneback").unwrap();
-    assert_eq!(cache.get(&key), None);
-    cache.put(&key, &features(0.25)).unwrap();
-    assert_eq!(cache.get(&key), Some(features(0.25)));
+    assert_eq!(cache.get(&key, HeadMotion::Keep), None);
+    cache.put(&key, &features(0.25), None).unwrap();
+    assert_eq!(cache.get(&key, HeadMotion::Keep), Some((features(0.25), None)));
 
     assert_ne!(cache.key(&onset, &apex, "tvl1").unwrap(), key);
     assert_ne!(cache.key(&apex, &onset, "farneback").unwrap(), key);
@@ -30,22 +30,44 @@ fn features_are_found_again_until_anything_changes() {
 }
 
 #[test]
+fn features_without_the_heads_motion_say_what_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = folder.path().join("a");
+    std::fs::write(&picture, "picture").unwrap();
+    let cache = FeatureCache::open(&folder.path().join("cache")).unwrap();
+    let key = cache.key(&picture, &picture, "r").unwrap();
+    let motion = SubtractedMotion {
+        translation_px: [0.1, -2.5e-7],
+        rotation_degrees: 1.0 / 3.0,
+        scale: 1.01,
+        deviation_px: 0.02,
+    };
+    cache.put(&key, &features(1.0), Some(&motion)).unwrap();
+    assert_eq!(cache.get(&key, HeadMotion::Subtract), Some((features(1.0), Some(motion))));
+    let json = folder.path().join("cache").read_dir().unwrap().map(|entry| entry.unwrap().path());
+    let json =
+        json.into_iter().find(|path| path.extension().is_some_and(|extension| extension == "json")).unwrap();
+    std::fs::write(&json, r#"{"translation_px":[0.1"#).unwrap();
+    assert_eq!(cache.get(&key, HeadMotion::Subtract), None);
+}
+
+#[test]
 fn a_broken_file_is_computed_again() {
     let folder = tempfile::tempdir().unwrap();
     let picture = folder.path().join("a");
     std::fs::write(&picture, "picture").unwrap();
     let cache = FeatureCache::open(folder.path()).unwrap();
     let key = cache.key(&picture, &picture, "r").unwrap();
-    cache.put(&key, &features(1.0)).unwrap();
+    cache.put(&key, &features(1.0), None).unwrap();
     let mut files = folder.path().read_dir().unwrap().map(|entry| entry.unwrap().path());
     let file = files.find(|path| path.extension().is_some()).unwrap();
     let whole = std::fs::read(&file).unwrap();
     std::fs::write(&file, &whole[..whole.len() / 2]).unwrap();
-    assert_eq!(cache.get(&key), None);
+    assert_eq!(cache.get(&key, HeadMotion::Keep), None);
     write_npy(&file, &[3, 2, 2], &[0.0; 12]).unwrap();
-    assert_eq!(cache.get(&key), None);
-    cache.put(&key, &features(1.0)).unwrap();
-    assert_eq!(cache.get(&key), Some(features(1.0)));
+    assert_eq!(cache.get(&key, HeadMotion::Keep), None);
+    cache.put(&key, &features(1.0), None).unwrap();
+    assert_eq!(cache.get(&key, HeadMotion::Keep), Some((features(1.0), None)));
 }
 
 #[test]

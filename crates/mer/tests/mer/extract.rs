@@ -7,8 +7,8 @@ use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
 use srflow_data::micro_expression::{Annotation, Classes, Clip, ClipDataset, write_plain};
 use srflow_files::write_image_png;
 use srflow_mer::{
-    ApexRule, Channel, Extracted, FaceCrop, FeatureCache, Landmarks, Method, Preparation, ResizeOrder,
-    apex_errors, extract, fill_apexes, spot_apex,
+    ApexRule, Channel, Extracted, FaceCrop, FeatureCache, FeatureSettings, HeadMotion, Landmarks, Method,
+    Preparation, ResizeOrder, apex_errors, extract, fill_apexes, spot_apex,
 };
 
 /// Takes the change of brightness for a stretching flow, and counts how often it is asked.
@@ -76,7 +76,11 @@ fn features_come_in_order_and_from_the_cache_the_second_time() {
         let samples = extract(&clips, &method, preparation, Some(&cache), &on_clip, &|| false);
         (samples.unwrap(), cached.load(Ordering::Relaxed), estimator.0.swap(0, Ordering::Relaxed))
     };
-    let before = Preparation::default();
+    let kept = |resize| Preparation {
+        features: FeatureSettings { resize, head_motion: HeadMotion::Keep, ..FeatureSettings::default() },
+        ..Preparation::default()
+    };
+    let before = kept(ResizeOrder::Before);
     let (first, cached, estimated) = run("brightness 1", &before);
     assert_eq!((cached, estimated), (0, 3));
     let named: Vec<(&str, usize)> = first.iter().map(|s| (s.subject.as_str(), s.class)).collect();
@@ -92,13 +96,22 @@ fn features_come_in_order_and_from_the_cache_the_second_time() {
 
     assert_eq!(run("brightness 1", &before), (first.clone(), 3, 0));
     assert_eq!(run("brightness 2", &before).2, 3, "other parameters");
-    let after = Preparation { resize: ResizeOrder::After, ..Preparation::default() };
+    let after = kept(ResizeOrder::After);
     let (resized, _, estimated) = run("brightness 1", &after);
     assert_eq!(estimated, 3);
     // v is half a pixel of 50 rows, and of 112 rows in proportion.
     assert!((resized[0].features.channel(Channel::V)[5000] - 0.5 * 112.0 / 50.0).abs() < 1e-4);
-    let cut = Preparation { face: FaceCrop::Fixed("10,5,40x40".parse().unwrap()), ..Preparation::default() };
+    let cut = Preparation { face: FaceCrop::Fixed("10,5,40x40".parse().unwrap()), ..before.clone() };
     assert_eq!(run("brightness 1", &cut).2, 3, "another crop");
+
+    let subtracted = Preparation::default();
+    let (without, _, estimated) = run("brightness 1", &subtracted);
+    assert_eq!(estimated, 3);
+    // Half a pixel of 50 rows is the head's motion, and no longer in the flow.
+    let motion = without[0].head_motion.unwrap();
+    assert!((motion.translation_px[1] - 0.5 * 112.0 / 50.0).abs() < 1e-3, "{motion:?}");
+    assert!(without[0].features.channel(Channel::V).iter().all(|v| v.abs() < 1e-3));
+    assert_eq!(run("brightness 1", &subtracted), (without, 3, 0));
 }
 
 #[test]

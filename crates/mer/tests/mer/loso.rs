@@ -7,12 +7,14 @@ use srflow_core::Plane;
 use srflow_core::random::Key;
 use srflow_data::micro_expression::Classes;
 use srflow_mer::{
-    Classifier, FEATURE_SIDE, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError, LosoEvent, OffTaNet,
+    ClassifierEntry, FEATURE_SIDE, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError, LosoEvent,
     Protocol, Sample, StstNet, Summary, leave_one_subject_out, leave_one_subject_out_by, read_predictions,
     write_predictions,
 };
 
 use crate::made_up::{NEGATIVE, POSITIVE, SURPRISE};
+
+const STSTNET: ClassifierEntry = ClassifierEntry::of::<StstNet>();
 
 /// Motion by class: down on the left, up on the right, up everywhere; and noise.
 fn sample(dataset: &str, subject: u32, clip: u32, class: usize) -> Sample {
@@ -35,6 +37,7 @@ fn sample(dataset: &str, subject: u32, clip: u32, class: usize) -> Sample {
         clip: format!("clip {clip}"),
         class,
         features: Features::new(&u, &v, &strain).unwrap(),
+        head_motion: None,
     }
 }
 
@@ -55,7 +58,8 @@ fn protocol(epochs: usize) -> Protocol {
     Protocol { epochs, record_every: 2, batch: 8, seed: 5, ..Protocol::default() }
 }
 
-fn run<C: Classifier>(
+fn run(
+    classifier: ClassifierEntry,
     samples: &[Sample],
     protocol: &Protocol,
     folder: Option<&Path>,
@@ -72,7 +76,7 @@ fn run<C: Classifier>(
         .install(|| {
             let classes = Classes::default();
             let folder = folder.map(FoldFolder::from);
-            leave_one_subject_out::<C>(samples, classes.names(), protocol, folder, &log, &|| false)
+            leave_one_subject_out(&classifier, samples, classes.names(), protocol, folder, &log, &|| false)
         })
         .unwrap();
     (loso, events.into_inner().unwrap())
@@ -90,7 +94,7 @@ fn folds(events: &[LosoEvent], of_an_earlier_run: bool) -> usize {
 #[test]
 fn a_classifier_learns_to_separate_the_classes() {
     let protocol = Protocol { learning_rate: 5e-3, ..protocol(16) };
-    let (loso, _) = run::<StstNet>(&samples(4), &protocol, None, 2);
+    let (loso, _) = run(STSTNET, &samples(4), &protocol, None, 2);
     assert_eq!(loso.folds.len(), 9);
     assert_eq!(loso.predictions.len(), 49 * protocol.recorded().len());
     let summary = Summary::of(&loso.classes, &loso.predictions).unwrap();
@@ -99,25 +103,44 @@ fn a_classifier_learns_to_separate_the_classes() {
     assert!(loso.folds.iter().all(|fold| fold.training_losses[0] > *fold.training_losses.last().unwrap()));
 }
 
+#[test]
+fn the_linear_classifier_learns_at_once_and_refuses_epochs() {
+    let (samples, folder) = (samples(3), tempfile::tempdir().unwrap());
+    let linear = ClassifierEntry::LINEAR;
+    let (loso, events) = run(linear, &samples, &Protocol::default(), Some(folder.path()), 2);
+    let summary = Summary::of(&loso.classes, &loso.predictions).unwrap();
+    assert!(summary.last().mean.accuracy > 0.95, "{}", summary.last().mean.accuracy);
+    assert_eq!((summary.epochs.len(), folds(&events, false), epochs(&events)), (1, 7, 7));
+    let (again, events) = run(linear, &samples, &Protocol::default(), Some(folder.path()), 1);
+    assert_eq!((again.predictions, folds(&events, true)), (loso.predictions, 7));
+
+    let protocol = Protocol { epochs: 21, ..Protocol::default() };
+    let classes = Classes::default();
+    let error =
+        leave_one_subject_out(&linear, &samples, classes.names(), &protocol, None, &|_| {}, &|| false);
+    let error = error.unwrap_err().to_string();
+    assert!(error.contains("linear classifier is trained at once and has no use for `epochs`"), "{error}");
+}
+
 /// The network that the paper uses, with dropout, batch norms and every kernel that could share its work.
 #[test]
 fn results_have_the_same_bits_on_any_number_of_threads_and_in_any_order() {
     let mut samples = samples(1);
-    let (one, _) = run::<OffTaNet>(&samples, &protocol(2), None, 1);
+    let (one, _) = run(ClassifierEntry::OFF_TANET, &samples, &protocol(2), None, 1);
     samples.reverse();
-    let (three, _) = run::<OffTaNet>(&samples, &protocol(2), None, 3);
+    let (three, _) = run(ClassifierEntry::OFF_TANET, &samples, &protocol(2), None, 3);
     assert_eq!(one.predictions, three.predictions);
     let losses = |loso: &Loso| loso.folds.iter().map(|fold| fold.training_losses.clone()).collect::<Vec<_>>();
     assert_eq!(losses(&one), losses(&three));
     let other = Protocol { seed: 6, ..protocol(2) };
-    assert_ne!(run::<OffTaNet>(&samples, &other, None, 3).0.predictions, one.predictions);
+    assert_ne!(run(ClassifierEntry::OFF_TANET, &samples, &other, None, 3).0.predictions, one.predictions);
 }
 
 #[test]
 fn finished_folds_are_not_run_again() {
     let folder = tempfile::tempdir().unwrap();
     let (samples, protocol) = (samples(2), protocol(3));
-    let (whole, events) = run::<StstNet>(&samples, &protocol, Some(folder.path()), 2);
+    let (whole, events) = run(STSTNET, &samples, &protocol, Some(folder.path()), 2);
     assert_eq!(folds(&events, false), 5);
     assert_eq!(epochs(&events), 15);
 
@@ -135,24 +158,24 @@ fn finished_folds_are_not_run_again() {
     assert!(text[digit].is_ascii_digit());
     text[digit] ^= 1;
     std::fs::write(&files[2], &text).unwrap();
-    let (resumed, events) = run::<StstNet>(&samples, &protocol, Some(folder.path()), 2);
+    let (resumed, events) = run(STSTNET, &samples, &protocol, Some(folder.path()), 2);
     assert_eq!(folds(&events, true), 1);
     assert_eq!(epochs(&events), 12);
     assert_eq!(resumed.predictions, whole.predictions);
 
     // Another seed, another network, other features: other folds.
     let other = Protocol { seed: 6, ..protocol.clone() };
-    assert_eq!(epochs(&run::<StstNet>(&samples, &other, Some(folder.path()), 2).1), 15);
+    assert_eq!(epochs(&run(STSTNET, &samples, &other, Some(folder.path()), 2).1), 15);
     let mut changed = samples.clone();
     changed[0] = sample("b", 99, 1, NEGATIVE);
     changed[0].clip.clone_from(&samples[0].clip);
-    assert_eq!(epochs(&run::<StstNet>(&changed, &protocol, Some(folder.path()), 2).1), 15);
+    assert_eq!(epochs(&run(STSTNET, &changed, &protocol, Some(folder.path()), 2).1), 15);
 }
 
 #[test]
 fn every_number_follows_from_the_predictions_file() {
     let folder = tempfile::tempdir().unwrap();
-    let (loso, _) = run::<StstNet>(&samples(2), &protocol(3), None, 2);
+    let (loso, _) = run(STSTNET, &samples(2), &protocol(3), None, 2);
     let summary = Summary::of(&loso.classes, &loso.predictions).unwrap();
     let path = folder.path().join("predictions.csv");
     let trial = srflow_mer::Trial {
@@ -173,7 +196,7 @@ fn every_number_follows_from_the_predictions_file() {
 fn a_class_that_only_one_subject_shows_is_recorded() {
     let mut samples = samples(1);
     samples.retain(|sample| sample.class != SURPRISE || sample.dataset == "a");
-    let (loso, _) = run::<StstNet>(&samples, &protocol(1), None, 1);
+    let (loso, _) = run(STSTNET, &samples, &protocol(1), None, 1);
     let unseen: Vec<_> = loso.folds.iter().map(|fold| fold.unseen_classes.clone()).collect();
     assert_eq!(unseen, [vec!["surprise"], vec![], vec![]]);
 }
@@ -186,7 +209,7 @@ fn any_number_of_classes_goes_from_training_to_tables() {
         sample.class += usize::from(sample.clip == "clip 5");
     }
     let classes: std::sync::Arc<[String]> = ["sad", "glad", "awed", "struck"].map(str::to_owned).into();
-    let loso = leave_one_subject_out::<StstNet>(&samples, &classes, &protocol(2), None, &|_| {}, &|| false);
+    let loso = leave_one_subject_out(&STSTNET, &samples, &classes, &protocol(2), None, &|_| {}, &|| false);
     let loso = loso.unwrap();
     assert!(loso.predictions.iter().all(|prediction| prediction.scores.len() == 4));
     let trial = srflow_mer::Trial {
@@ -213,7 +236,7 @@ fn any_number_of_classes_goes_from_training_to_tables() {
 fn a_run_that_is_stopped_keeps_its_finished_folds() {
     let folder = tempfile::tempdir().unwrap();
     let (samples, classes) = (samples(2), Classes::default());
-    let (whole, _) = run::<StstNet>(&samples, &protocol(2), None, 2);
+    let (whole, _) = run(STSTNET, &samples, &protocol(2), None, 2);
     let finished = std::sync::atomic::AtomicUsize::new(0);
     let on_event = |event| {
         if let LosoEvent::Fold { .. } = event {
@@ -222,7 +245,8 @@ fn a_run_that_is_stopped_keeps_its_finished_folds() {
     };
     let stop = || finished.load(std::sync::atomic::Ordering::Relaxed) >= 2;
     let kept = Some(folder.path());
-    let stopped = leave_one_subject_out::<StstNet>(
+    let stopped = leave_one_subject_out(
+        &STSTNET,
         &samples,
         classes.names(),
         &protocol(2),
@@ -231,7 +255,7 @@ fn a_run_that_is_stopped_keeps_its_finished_folds() {
         &stop,
     );
     assert!(matches!(stopped, Err(LosoError::Stopped)));
-    let (resumed, events) = run::<StstNet>(&samples, &protocol(2), kept, 2);
+    let (resumed, events) = run(STSTNET, &samples, &protocol(2), kept, 2);
     assert!(folds(&events, true) >= 2);
     assert_eq!(resumed.predictions, whole.predictions);
 }
@@ -239,7 +263,7 @@ fn a_run_that_is_stopped_keeps_its_finished_folds() {
 #[test]
 fn a_classifier_of_another_program_gets_the_same_folds() {
     let (samples, classes) = (samples(2), Classes::default());
-    let (ours, _) = run::<StstNet>(&samples, &protocol(1), None, 2);
+    let (ours, _) = run(STSTNET, &samples, &protocol(1), None, 2);
     let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
     let truth = |fold: &Fold| fold.tested.iter().map(|&index| clips[index].class).collect::<Vec<_>>();
     let by = |classify: &mut dyn FnMut(&Fold) -> Result<Vec<usize>, LosoError>| {
@@ -276,7 +300,7 @@ fn a_classifier_of_another_program_gets_the_same_folds() {
 fn impossible_runs_are_explained() {
     let error = |samples: &[Sample], protocol: &Protocol| {
         let classes = Classes::default();
-        leave_one_subject_out::<StstNet>(samples, classes.names(), protocol, None, &|_| {}, &|| false)
+        leave_one_subject_out(&STSTNET, samples, classes.names(), protocol, None, &|_| {}, &|| false)
             .unwrap_err()
             .to_string()
     };

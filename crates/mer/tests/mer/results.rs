@@ -1,8 +1,8 @@
 //! Tables of results.
 
 use srflow_mer::{
-    FoldRecord, Loso, Outcome, confusion_latex, confusions_csv, fold_table, folds_csv, score_tables,
-    scores_csv, unseen_classes,
+    FoldRecord, Loso, Outcome, comparisons_csv, confusion_latex, confusions_csv, fold_table, folds_csv,
+    score_tables, scores_csv, unseen_classes,
 };
 
 use crate::made_up::{NEGATIVE, POSITIVE, SURPRISE, prediction};
@@ -30,15 +30,22 @@ fn outcome(method: &str, said: usize) -> Outcome {
 }
 
 #[test]
-fn tables_hold_each_metric_at_its_best_and_at_the_last_epoch() {
+fn tables_hold_each_metric_at_the_last_and_at_its_best_epoch() {
     let (a, b) = (outcome("a", POSITIVE), outcome("b", SURPRISE));
     let tables = score_tables(&[&a, &b], &[]);
     let accuracy = |table: usize| tables[table].rows.iter().map(|row| row.values[3]).collect::<Vec<_>>();
-    assert_eq!(accuracy(0), [Some(0.5), Some(0.5), Some(0.5)]);
-    assert_eq!(accuracy(1), [Some(0.5), Some(0.0), Some(0.5)]);
-    assert!(tables[1].rows[2].baseline && tables[1].title.contains("3 clips, 2 subjects; after epoch 20"));
+    assert_eq!(accuracy(0), [Some(0.5), Some(0.0), Some(0.5)]);
+    assert!(tables[0].rows[2].baseline && tables[0].title.contains("3 clips, 2 subjects; after epoch 20"));
     // Two of the three clips are positive and predicted so: recalls 0, 1 and none.
-    assert_eq!(tables[1].rows[0].values[6], Some(1.0 / 3.0));
+    assert_eq!(tables[0].rows[0].values[6], Some(1.0 / 3.0));
+    assert!(
+        tables[0].legend().is_empty(),
+        "two subjects decide nothing, and `a` is no better than always positive"
+    );
+    // Of F1_μ: one subject is wrong and one right.
+    assert_eq!(tables[1].rows[0].values[..2], [Some(0.0), Some(1.0)]);
+    assert_eq!(accuracy(2), [Some(0.5), Some(0.5)]);
+    assert!(tables[2].title.contains("best epoch, chosen on the test clips") && !tables[2].ranked());
     let latex = confusion_latex(&a);
     let shaded = "positive & \\cellcolor{blue!0}0 & \\cellcolor{blue!60}2 & \\cellcolor{blue!0}0 \\\\\n";
     assert!(latex.contains(shaded), "{latex}");
@@ -49,12 +56,15 @@ fn tables_hold_each_metric_at_its_best_and_at_the_last_epoch() {
     let lines: Vec<&str> = scores.lines().collect();
     assert_eq!(lines.len(), 1 + 2 * 2 + 1, "{scores}");
     assert!(
-        lines[2].starts_with("made-up,a,last,20,") && lines[1].starts_with("made-up,a,best,,"),
+        lines[1].starts_with("made-up,a,last,20,") && lines[2].starts_with("made-up,a,best,,"),
         "{scores}"
     );
     assert!(lines[5].starts_with("made-up,always positive,last,,"), "{scores}");
     assert_eq!(confusions_csv(&both).lines().nth(2), Some("made-up,a,20,positive,0,2,0"));
     assert_eq!(folds_csv(&both).lines().nth(2), Some("made-up,a,made-up,2,2,20,1.0,1.0,1.0,1.0,1.0,0.5"));
+    let comparisons = comparisons_csv(&both);
+    assert_eq!(comparisons.lines().count(), 1 + 7);
+    assert!(comparisons.contains("\nmade-up,a,b,f1_mu,0.5,1.0\n"), "{comparisons}");
     let mut alone = a.clone();
     assert_eq!(unseen_classes(&a).as_deref(), Some("made-up: no clip shows surprise."));
     alone.folds[1].unseen_classes = vec!["positive".to_owned(), "surprise".to_owned()];
@@ -69,7 +79,7 @@ fn tables_hold_each_metric_at_its_best_and_at_the_last_epoch() {
 fn methods_of_different_runs_have_their_own_last_epochs() {
     let (long, mut short) = (outcome("long", POSITIVE), outcome("short", POSITIVE));
     short.summary.epochs.truncate(1);
-    let table = &score_tables(&[&long, &short], &[])[1];
+    let table = &score_tables(&[&long, &short], &[])[0];
     assert!(table.title.contains("after each method's last epoch"), "{}", table.title);
     let epochs: Vec<Option<f64>> = table.rows.iter().map(|row| row.values[0]).collect();
     assert_eq!((table.columns[0].header.as_str(), epochs), ("epoch", vec![Some(20.0), Some(0.0), None]));

@@ -10,8 +10,8 @@ use srflow_data::micro_expression::{Classes, ClipDataset, ClipSource};
 use srflow_eval::MethodRecord;
 use srflow_files::write_image_png;
 use srflow_mer::{
-    ApexRule, FeatureRecipe, Preparation, Protocol, RunError, RunEvent, RunFolders, RunMethod, RunResults,
-    RunSettings, RunWatch, Sets, compute_features, run, write_features,
+    ApexRule, FeatureRecipe, Preparation, Protocol, RecognitionProtocol, RunError, RunEvent, RunFolders,
+    RunMethod, RunResults, RunSettings, RunWatch, Sets, compute_features, run, write_features,
 };
 
 /// A flow from the brightness of the second picture.
@@ -50,6 +50,7 @@ fn dataset(folder: &Path, subjects: usize) -> ClipDataset {
 
 fn settings() -> RunSettings {
     RunSettings {
+        recognition: RecognitionProtocol::Srflow,
         classifier: "ststnet".parse().unwrap(),
         sets: Sets::Both,
         apex: Some(ApexRule::Strain),
@@ -111,8 +112,8 @@ fn events_reach_the_announced_counts_and_a_second_run_computes_nothing() {
     assert_eq!(counts, [20, 20, expected, expected, 0]);
     let sets: Vec<&str> = results.trials.iter().map(|trial| trial.set.as_str()).collect();
     assert_eq!(sets, ["first", "second", "composite"]);
-    assert_eq!(results.data.iter().map(|data| data.spotted_apexes).collect::<Vec<_>>(), [6, 4]);
-    assert!(results.clips.iter().all(|clip| clip.annotation.apex == Some(2)));
+    assert_eq!(results.features.data.iter().map(|data| data.spotted_apexes).collect::<Vec<_>>(), [6, 4]);
+    assert!(results.features.clips.iter().all(|clip| clip.annotation.apex == Some(2)));
 
     let (again, counts) = run();
     assert_eq!(counts, [20, 20, expected, 0, expected]);
@@ -184,6 +185,13 @@ fn features_are_written_for_numpy() {
     assert_eq!(text(&array("subject").1), "001100");
     assert_eq!(text(&array("names").1), "negativepositivesurprise");
     assert!(array("clip").0.contains("'<U10'"), "0-negative");
+    assert_eq!(text(&array("action_units").1), "");
+    assert_eq!(array("apex").1, [2_i64; 6].map(i64::to_le_bytes).concat());
+    assert_eq!(array("apex_spotted").1, [1_i64; 6].map(i64::to_le_bytes).concat());
+    let (header, moved) = array("head_motion");
+    assert!(header.contains("(6, 5)"), "{header}");
+    let motion = set.samples[0].1[0].head_motion.expect("it is subtracted by default").values();
+    assert!(moved.starts_with(&motion.map(|value| (value as f32).to_le_bytes()).concat()));
     let (header, json) = array("parameters");
     assert!(header.contains("'shape': ()"), "{header}");
     let json: serde_json::Value = serde_json::from_str(&text(&json)).unwrap();

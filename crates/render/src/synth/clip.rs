@@ -33,6 +33,19 @@ pub struct Clip {
     frames: usize,
 }
 
+/// The frames that the expression and the drift of the head are taken from: of one frame, or of two to see one move alone.
+#[derive(Debug, Clone, Copy)]
+pub struct Moment {
+    pub expression: usize,
+    pub head: usize,
+}
+
+impl Moment {
+    pub fn of_frame(frame: usize) -> Self {
+        Self { expression: frame, head: frame }
+    }
+}
+
 impl Clip {
     pub fn new(avatar: &Avatar, settings: &SynthSettings, plan: &ClipPlan) -> Result<Self, HeadModelError> {
         let key = Key::new(settings.seed).scene(plan.number);
@@ -61,10 +74,10 @@ impl Clip {
         self.frames
     }
 
-    pub fn pose(&self, avatar: &Avatar, frame: usize) -> Result<HeadPose, HeadModelError> {
-        let mut pose = self.expression.pose(avatar.model(), frame)?;
+    fn pose(&self, avatar: &Avatar, moment: Moment) -> Result<HeadPose, HeadModelError> {
+        let mut pose = self.expression.pose(avatar.model(), moment.expression)?;
         let [yaw, pitch, roll, x, y, z] =
-            self.drift.at(frame as f64 / (self.frames - 1).max(1) as f64).map(|value| value as f32);
+            self.drift.at(moment.head as f64 / (self.frames - 1).max(1) as f64).map(|value| value as f32);
         let turn = Quat::from_euler(EulerRot::YXZ, yaw.to_radians(), -pitch.to_radians(), roll.to_radians());
         let root = pose.joint_mut(0);
         *root = (turn * *root).normalize();
@@ -95,15 +108,15 @@ impl Clip {
         numbers.join("+")
     }
 
-    /// Writes the Gaussians of a frame into `out`.
+    /// Writes the Gaussians of a moment into `out`.
     pub fn gaussians(
         &self,
         avatar: &Avatar,
-        frame: usize,
+        moment: Moment,
         head: &mut PosedHead,
         out: &mut Gaussians,
     ) -> Result<(), HeadModelError> {
-        avatar.gaussians_into(&self.pose(avatar, frame)?, head, out);
+        avatar.gaussians_into(&self.pose(avatar, moment)?, head, out);
         Ok(())
     }
 }

@@ -52,6 +52,10 @@ pub struct SynthSettings {
     /// File format of the true flow
     #[arg(long, value_name = "FORMAT", default_value_t = Self::default().flow_format)]
     pub flow_format: FlowFormat,
+    /// Write the onset and apex frames alone: all that features need
+    #[arg(long)]
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub only_key_frames: bool,
 }
 
 impl Default for SynthSettings {
@@ -67,6 +71,7 @@ impl Default for SynthSettings {
             lighting: 1.0,
             seed: 1,
             flow_format: FlowFormat::Flo,
+            only_key_frames: false,
         }
     }
 }
@@ -84,14 +89,41 @@ pub(super) struct ClipPlan {
     pub name: String,
 }
 
+/// What moves from onset to apex.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Motion {
+    Whole,
+    /// The head, with the face as at the onset.
+    Head,
+    /// The face, with the head where it is at the onset.
+    Expression,
+}
+
+impl Motion {
+    pub const ALL: [Self; 3] = [Self::Whole, Self::Head, Self::Expression];
+
+    fn suffix(self) -> &'static str {
+        match self {
+            Self::Whole => "_flow",
+            Self::Head => "_head_flow",
+            Self::Expression => "_expression_flow",
+        }
+    }
+}
+
 impl ClipPlan {
     pub fn folder(&self, dir: &Path) -> PathBuf {
         dir.join(&self.name)
     }
 
-    /// The file of the true flow from onset to apex, next to the clip's folder.
-    pub fn flow(&self, dir: &Path, format: FlowFormat) -> PathBuf {
-        dir.join(format!("{}_flow.{}", self.name, format.extension()))
+    /// The file of a true flow from onset to apex, next to the clip's folder.
+    pub fn flow(&self, dir: &Path, motion: Motion, format: FlowFormat) -> PathBuf {
+        dir.join(format!("{}{}.{}", self.name, motion.suffix(), format.extension()))
+    }
+
+    /// The files of the true flow, whole and in parts.
+    pub fn flows(&self, dir: &Path, format: FlowFormat) -> [PathBuf; 3] {
+        Motion::ALL.map(|motion| self.flow(dir, motion, format))
     }
 
     /// The mask of the head at the onset.

@@ -9,8 +9,8 @@ use srflow_data::micro_expression::PLAIN_NAME;
 use srflow_files::{write_file, write_flow_as, write_image_png, write_mask_png};
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
-use super::clip::Clip;
-use super::settings::{ClipPlan, SynthSettings};
+use super::clip::{Clip, Moment};
+use super::settings::{ClipPlan, Motion, SynthSettings};
 use crate::RenderError;
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::record::{json_text, read_record};
@@ -45,6 +45,7 @@ pub struct ClipRecord {
     pub onset: u64,
     pub apex: u64,
     pub offset: u64,
+    /// Frames that were written.
     pub frames: usize,
     /// Mean length of the true flow from onset to apex on the head, in pixels.
     pub mean_flow: f64,
@@ -98,7 +99,8 @@ impl Layout for Clips {
             .collect();
         frames.sort();
         let format = self.settings().flow_format;
-        [clip.record(dir), clip.flow(dir, format), clip.mask(dir)].into_iter().chain(frames).collect()
+        let flows = clip.flows(dir, format);
+        [clip.record(dir), clip.mask(dir)].into_iter().chain(flows).chain(frames).collect()
     }
 
     fn begun_in(&self, dir: &Path) -> Vec<(u32, u32)> {
@@ -163,8 +165,9 @@ impl Plan for Clips {
         let Ok(other) = serde_json::from_str::<SynthSettings>(found) else { return Ok(()) };
         for clip in other.plan()? {
             // The record first: without it the clip does not count.
-            for file in [clip.record(dir), clip.flow(dir, other.flow_format), clip.mask(dir)] {
-                remove(&file)?;
+            let flows = clip.flows(dir, other.flow_format);
+            for file in [clip.record(dir), clip.mask(dir)].iter().chain(&flows) {
+                remove(file)?;
             }
             remove(&clip.folder(dir))?;
         }
@@ -204,16 +207,20 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Renders a clip, its flow, its mask and its record.
+    /// Renders a clip, its flow whole and in parts, its mask and its record.
     fn make(&mut self, work: &Work, avatar: &Avatar, plan: &ClipPlan) -> Result<(), RenderError> {
         let settings = work.plan.settings();
         let clip = Clip::new(avatar, settings, plan)?;
         let refused = |error: RasterizeError| RenderError::Rasterize { frame: plan.name.clone(), error };
         let folder = plan.folder(work.dir);
 
+        let expression = &clip.expression;
+        let (onset, apex) = (expression.onset, expression.apex);
+
         let mut options = Options { background: BACKDROP, outputs: Outputs::IMAGE, ..Options::default() };
-        for number in 0..clip.len() {
-            clip.gaussians(avatar, number, &mut self.head, &mut self.gaussians)?;
+        let mut frames = 0;
+        for number in (0..clip.len()).filter(|&n| !settings.only_key_frames || n == onset || n == apex) {
+            clip.gaussians(avatar, Moment::of_frame(number), &mut self.head, &mut self.gaussians)?;
             self.rasterizer
                 .render(&self.gaussians, &clip.camera, None, &options, &mut self.frame)
                 .map_err(refused)?;
@@ -221,20 +228,32 @@ impl Renderer {
             clip.light.record(&mut self.frame.image, seconds, settings.noise, clip.key.frame(number as u32));
             let path = folder.join(format!("{number:04}.png"));
             work.write(Stage::Frames, &path, |path| write_image_png(path, &self.frame.image))?;
+            frames += 1;
         }
 
-        let expression = &clip.expression;
-        clip.gaussians(avatar, expression.apex, &mut self.head, &mut self.apex)?;
-        clip.gaussians(avatar, expression.onset, &mut self.head, &mut self.gaussians)?;
+        clip.gaussians(avatar, Moment::of_frame(onset), &mut self.head, &mut self.gaussians)?;
+        let landmarks = clip.landmarks(avatar, &self.head);
         options.outputs = Outputs { alpha: true, flow: true, ..Outputs::NONE };
-        let next = Next { gaussians: &self.apex, camera: &clip.camera };
-        self.rasterizer
-            .render(&self.gaussians, &clip.camera, Some(next), &options, &mut self.frame)
-            .map_err(refused)?;
-        let format = settings.flow_format;
-        work.write(Stage::Flow, &plan.flow(work.dir, format), |path| {
-            write_flow_as(path, &self.frame.flow, format)
-        })?;
+        let mut mean_flow = 0.0;
+        for motion in Motion::ALL {
+            let moment = match motion {
+                Motion::Whole => Moment::of_frame(apex),
+                Motion::Head => Moment { expression: onset, head: apex },
+                Motion::Expression => Moment { expression: apex, head: onset },
+            };
+            clip.gaussians(avatar, moment, &mut self.head, &mut self.apex)?;
+            let next = Next { gaussians: &self.apex, camera: &clip.camera };
+            self.rasterizer
+                .render(&self.gaussians, &clip.camera, Some(next), &options, &mut self.frame)
+                .map_err(refused)?;
+            let format = settings.flow_format;
+            work.write(Stage::Flow, &plan.flow(work.dir, motion, format), |path| {
+                write_flow_as(path, &self.frame.flow, format)
+            })?;
+            if motion == Motion::Whole {
+                mean_flow = self.mean_flow();
+            }
+        }
 
         work.write(Stage::Planes, &plan.mask(work.dir), |path| write_mask_png(path, &self.frame.mask()))?;
 
@@ -244,12 +263,12 @@ impl Renderer {
             class: plan.class.name().to_owned(),
             action_units,
             coded_units: clip.coded_units(),
-            onset: expression.onset as u64,
-            apex: expression.apex as u64,
+            onset: onset as u64,
+            apex: apex as u64,
             offset: expression.offset as u64,
-            frames: clip.len(),
-            mean_flow: self.mean_flow(),
-            landmarks: clip.landmarks(avatar, &self.head),
+            frames,
+            mean_flow,
+            landmarks,
         };
         // The record marks the clip as complete, so it comes last.
         work.write(Stage::Records, &plan.record(work.dir), |path| write_file(path, json_text(&record)))

@@ -109,6 +109,58 @@ fn without_disturbance_only_the_expression_moves() {
 }
 
 #[test]
+fn the_flow_is_that_of_the_head_and_that_of_the_expression() {
+    let folder = tempfile::tempdir().unwrap();
+    let all = SynthSettings { clips: 3, ..settings() };
+    make(&all, folder.path(), 2).unwrap();
+    let part =
+        |clip: &str, part: &str| read_flow(&folder.path().join(format!("s01/{clip}_{part}.flo"))).unwrap();
+    for clip in ["c01", "c02", "c03"] {
+        let (whole, head, expression) =
+            (part(clip, "flow"), part(clip, "head_flow"), part(clip, "expression_flow"));
+        let mut lengths = [0.0_f32; 2];
+        for ((whole, head), expression) in whole.pixels().iter().zip(head.pixels()).zip(expression.pixels()) {
+            for axis in 0..2 {
+                let rest = whole[axis] - head[axis] - expression[axis];
+                assert!(rest.abs() < 0.01, "{clip}: {rest} px are in neither part");
+                lengths[0] = lengths[0].max(head[axis].abs());
+                lengths[1] = lengths[1].max(expression[axis].abs());
+            }
+        }
+        assert!(lengths.iter().all(|length| *length > 0.02), "{clip}: both move: {lengths:?}");
+    }
+
+    // A head that does not drift moves by its expression alone.
+    let still = folder.path().join("still");
+    fs::create_dir(&still).unwrap();
+    make(&SynthSettings { drift: 0.0, clips: 1, ..settings() }, &still, 2).unwrap();
+    let still = |part: &str| read_flow(&still.join(format!("s01/c01_{part}.flo"))).unwrap();
+    assert_eq!(still("flow"), still("expression_flow"));
+    assert!(still("head_flow").pixels().iter().flatten().all(|component| *component == 0.0));
+}
+
+#[test]
+fn key_frames_alone_are_those_of_whole_clips() {
+    let folder = tempfile::tempdir().unwrap();
+    let (whole, key) = (folder.path().join("whole"), folder.path().join("key"));
+    let settings = SynthSettings { clips: 1, ..settings() };
+    make(&settings, &whole, 2).unwrap();
+    make(&SynthSettings { only_key_frames: true, ..settings }, &key, 2).unwrap();
+    let source = format!("clips:{}", key.display()).parse().unwrap();
+    let dataset = ClipDataset::open(&source, true).unwrap();
+    let annotation = &dataset.clips[0].annotation;
+    let numbers: Vec<u64> = dataset.clips[0].frames.keys().copied().collect();
+    assert_eq!(numbers, [annotation.onset, annotation.apex.unwrap()]);
+    let whole = contents(&whole);
+    for file in contents(&key) {
+        // Records count the frames.
+        if file.0.extension().is_some_and(|extension| extension != "json") {
+            assert!(whole.contains(&file), "{}", file.0.display());
+        }
+    }
+}
+
+#[test]
 fn another_folder_is_left_alone() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("thesis.tex"), "x").unwrap();

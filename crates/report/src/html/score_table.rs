@@ -27,7 +27,7 @@ pub fn score_table(table: &Table, caption: &str) -> Figure {
                 }
                 @for note in &table.notes { p.note { (note) } }
                 @if table.ranked() { p.marks {
-                    span.best { "best" } span.second { "second" } span.third { "third" }
+                    @for (mark, text) in table.legend() { span class=(class(*mark)) { (text) } }
                     @if table.rows.iter().any(|row| row.baseline) { span { i { "baseline, not ranked" } } }
                 } }
             }
@@ -37,10 +37,13 @@ pub fn score_table(table: &Table, caption: &str) -> Figure {
 }
 
 fn cell(shown: &str, mark: Option<Mark>) -> Markup {
-    let class = mark.map(|mark| match mark {
+    html! { td { span class=[mark.map(class)] { (shown) } } }
+}
+
+fn class(mark: Mark) -> &'static str {
+    match mark {
         Mark::Best => "best",
         Mark::Second => "second",
         Mark::Third => "third",
-    });
-    html! { td { span class=[class] { (shown) } } }
+    }
 }

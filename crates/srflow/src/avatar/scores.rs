@@ -57,6 +57,7 @@ pub fn mesh_table(error: &MeshError) -> Table {
             "Between corresponding points, over the whole surface; along the normal: what is left if points may slide along it."
                 .to_owned(),
         ],
+        ..Table::default()
     }
 }
 

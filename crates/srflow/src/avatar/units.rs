@@ -138,5 +138,6 @@ fn table(UnitsReport { listed, units, .. }: &UnitsReport) -> Table {
         ],
         rows,
         notes: vec![compared],
+        ..Table::default()
     }
 }

@@ -28,6 +28,7 @@ In Python:
   f = numpy.load('features.npz')
   f['X'], f['y']           # (N, 3, 112, 112) float32: u, v, strain; numbers of classes
   f['subject'], f['clip'], f['dataset'], f['method'], f['names'], json.loads(f['parameters'].item())
+  f['onset'], f['apex'], f['offset'], f['apex_spotted'], f['action_units'], f['head_motion']
 
 With several methods the clips of the first come before those of the next.
 
@@ -101,7 +102,8 @@ impl Job for FeaturesJob {
             methods.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record }).collect();
         let (datasets, _frames) = self.sources.open(&self.data, watch)?;
         let landmarks = || self.out.with_extension("landmarks.csv");
-        let preparation = self.preparation.preparation(&datasets, landmarks, self.force, watch)?;
+        let protocol = self.preparation.protocol.unwrap_or_default();
+        let preparation = self.preparation.preparation(protocol, &datasets, landmarks, self.force, watch)?;
 
         let progress = RunProgress::new(watch);
         let apex = self.preparation.apex;

@@ -8,8 +8,9 @@ use srflow_core::Shard;
 use srflow_data::micro_expression::ClipSource;
 use srflow_files::create_folder;
 use srflow_mer::{
-    ClassifierEntry, Preparation, Protocol, ResultsFolder, ResultsRecord, RunError, RunFolders, RunMethod,
-    RunResults, RunSettings, RunWatch, Sets, TrainedPart, all_score_tables, by_set, unseen_classes,
+    ClassifierEntry, Origin, Preparation, Protocol, RecognitionProtocol, ResultsFolder, ResultsRecord,
+    RunError, RunFolders, RunMethod, RunResults, RunSettings, RunWatch, Sets, TrainedPart, all_score_tables,
+    by_set, unseen_classes,
 };
 
 use super::progress::RunProgress;
@@ -26,14 +27,14 @@ use crate::{Job, Report, Watch, WhenStopped, machine};
 Examples:
   srflow mer run --data samm:/data/SAMM casme2:/data/CASME2 smic:/data/SMIC --method farneback tvl1 --out results
   srflow mer run --data clips:rendered --method tvl1 SRFlowNet:skflow=best.safetensors --out results
-  srflow mer run --data clips:rendered --method tvl1 --epochs 21 --out first-look
+  srflow mer run --data casme2:/data/CASME2 --rows paper-tables-7-to-10 --out paper
 
 Each dataset, and all of them together (`composite`), is split by subject: for each held-out subject a classifier is \
 trained on all others and predicts the classes of that subject's clips. docs/explanation/micro-expression-protocol.md defines every number.
 
-This takes time: with the 201 epochs of the paper's protocol, SAMM, CASME II, SMIC-HS and the composite take about five \
-hours on two CPU cores for each method. For a first look, --epochs 21 takes a tenth of that, --classifier ststnet much \
-less, and --sets each skips the composite. A run can be killed at any time: run the same command again to continue after \
+The protocol srflow subtracts the motion of the head from the flow and takes a linear classifier, which trains in seconds. The protocol \
+paper takes Off-TANet: with its 201 epochs SAMM, CASME II, SMIC-HS and the composite take about five hours on two CPU cores for each \
+method; --epochs 21 takes a tenth of that. A run can be killed at any time: run the same command again to continue after \
 the last finished fold. Features are never computed twice. With --shard, several processes or machines train parts of the folds \
 into one shared folder; run the command without it when they are done, which writes the results.
 
@@ -54,15 +55,15 @@ pub struct RunJob {
     )]
     #[serde(default)]
     pub method: Vec<MethodSpec>,
-    /// Classifier of the features
-    #[arg(long, value_name = "CLASSIFIER", value_enum, default_value_t)]
+    /// Classifier of the features [default: the protocol's, linear or off-tanet]
+    #[arg(long, value_name = "CLASSIFIER", value_enum)]
     #[serde(default)]
-    pub classifier: ClassifierEntry,
+    pub classifier: Option<ClassifierEntry>,
     /// Train on each dataset, on all together, or both
     #[arg(long, value_name = "SETS", value_enum, default_value_t)]
     #[serde(default)]
     pub sets: Sets,
-    /// Folder for tables.{txt,csv,tex,md}, folds.csv, confusions.csv, predictions.csv, results.json and report.html
+    /// Folder for tables.{txt,csv,tex,md}, folds.csv, confusions.csv, comparisons.csv, predictions.csv, results.json and report.html
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Overwrite these files
@@ -94,12 +95,12 @@ pub struct RunJob {
 }
 
 impl RunJob {
-    /// A run on these datasets with the built-in network and the paper's protocol, with results in the folder `out`.
+    /// A run on these datasets with the built-in network and the default protocol, with results in the folder `out`.
     pub fn new(data: Vec<ClipSource>, out: impl Into<PathBuf>) -> Self {
         Self {
             data,
             method: default_methods(),
-            classifier: ClassifierEntry::default(),
+            classifier: None,
             sets: Sets::default(),
             out: out.into(),
             force: false,
@@ -114,6 +115,16 @@ impl RunJob {
     }
 }
 
+impl RunJob {
+    /// The protocol that was named; otherwise the paper's for the rows of its tables.
+    fn recognition(&self) -> RecognitionProtocol {
+        self.preparation.protocol.unwrap_or_else(|| match self.rows.rows.as_deref() {
+            Some("paper-tables-7-to-10") => RecognitionProtocol::Paper,
+            _ => RecognitionProtocol::default(),
+        })
+    }
+}
+
 impl Job for RunJob {
     const NAME: &'static str = "mer run";
     const WHEN_STOPPED: WhenStopped = WhenStopped::UnitsKept;
@@ -123,14 +134,17 @@ impl Job for RunJob {
     fn work(&self, watch: &Watch) -> anyhow::Result<RunReport> {
         ensure_folder(&self.out)?;
         let folder = ResultsFolder::open(&self.out, self.force)?;
-        self.protocol.check()?;
+        let recognition = self.recognition();
+        let classifier = self.classifier.unwrap_or_else(|| recognition.classifier());
+        classifier.check(&self.protocol)?;
         let given = match self.method.is_empty() && self.rows.rows.is_none() {
             true => default_methods(),
             false => self.method.clone(),
         };
         let Rows { methods: specs, left_out, .. } = self.rows.with(&given, watch)?;
         let mut settings = RunSettings {
-            classifier: self.classifier,
+            recognition,
+            classifier,
             sets: self.sets,
             apex: self.preparation.apex,
             preparation: Preparation::default(),
@@ -146,7 +160,8 @@ impl Job for RunJob {
         settings.check(&datasets)?;
         create_folder(&self.out)?; // before the long work, so that an error costs nothing
         let landmarks = || self.out.join("landmarks.csv");
-        settings.preparation = self.preparation.preparation(&datasets, landmarks, self.force, watch)?;
+        settings.preparation =
+            self.preparation.preparation(recognition, &datasets, landmarks, self.force, watch)?;
         let folders = RunFolders {
             features: &self.cache.clone().unwrap_or_else(|| self.out.join("features")),
             folds: &folder.folds(),
@@ -168,9 +183,13 @@ impl Job for RunJob {
             Err(RunError::Stopped) => return Ok(RunReport::Stopped { complete: false }),
             Err(error) => return Err(error.into()),
         };
-        let machine = machine::describe();
-        folder.write(&results, &machine)?;
-        Ok(RunReport::Results(Results { results, machine, page: folder.report() }))
+        let origin = Origin {
+            date: chrono::Utc::now().to_rfc3339_opts(chrono::SecondsFormat::Secs, true),
+            machine: machine::describe(),
+            job: serde_json::to_value(self)?,
+        };
+        folder.write(&results, &origin)?;
+        Ok(RunReport::Results(Results { results, origin, page: folder.report() }))
     }
 }
 
@@ -190,15 +209,14 @@ pub enum RunReport {
 #[derive(Debug)]
 pub struct Results {
     pub results: Box<RunResults>,
-    /// Description of the machine.
-    pub machine: String,
+    pub origin: Origin,
     /// The report for a browser.
     pub page: PathBuf,
 }
 
 impl Serialize for Results {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        ResultsRecord::of(&self.results, &self.machine).serialize(serializer)
+        ResultsRecord::of(&self.results, &self.origin).serialize(serializer)
     }
 }
 
@@ -227,6 +245,8 @@ impl fmt::Display for RunReport {
 impl fmt::Display for Results {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let RunResults { outcomes, settings, .. } = &*self.results;
+        write_line(f, format_args!("{}", settings.heading()))?;
+        writeln!(f)?;
         write_tables(f, &all_score_tables(outcomes, &settings.left_out))?;
         for of_set in by_set(outcomes) {
             if let Some(note) = unseen_classes(of_set[0]) {

@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use srflow_core::SettingError;
 use srflow_files::{read_image, write_image_png, write_npy, write_npy_plane};
 use srflow_mer::{
-    Channel, FEATURE_SIDE, ResizeOrder, StrainFormula, features_of_frames, optical_strain, strain_colors,
+    Channel, FEATURE_SIDE, FeatureSettings, HeadMotion, ResizeOrder, StrainFormula, SubtractedMotion,
+    features_of_frames, optical_strain, strain_colors,
 };
 
 use crate::clap::{Args, ValueEnum};
@@ -57,10 +58,14 @@ pub struct StrainJob {
     #[arg(long, value_name = "FORMULA", default_value_t)]
     #[serde(default)]
     pub formula: StrainFormula,
-    /// Resize to 112x112: the frames before estimating the flow, or the flow after
-    #[arg(long, value_name = "ORDER", default_value_t, conflicts_with = "size")]
+    /// Resize to 112x112: the frames before estimating the flow, or the flow after [default: after]
+    #[arg(long, value_name = "ORDER", conflicts_with = "size")]
     #[serde(default)]
-    pub resize: ResizeOrder,
+    pub resize: Option<ResizeOrder>,
+    /// The head's motion in the flow: keep or subtract
+    #[arg(long, value_name = "WHAT", default_value_t)]
+    #[serde(default)]
+    pub head_motion: HeadMotion,
     /// Size of the result
     #[arg(long, value_name = "SIZE", value_enum, default_value_t)]
     #[serde(default)]
@@ -119,14 +124,20 @@ impl Job for StrainJob {
             apex.width(),
             apex.height()
         );
-        let strain = if full {
-            optical_strain(&estimator.estimate(&onset, &apex)?, self.formula)
+        let settings = FeatureSettings {
+            resize: self.resize.unwrap_or(FeatureSettings::default().resize),
+            head_motion: self.head_motion,
+            strain: self.formula,
+        };
+        let (strain, subtracted) = if full {
+            let (flow, subtracted) = self.head_motion.applied(estimator.estimate(&onset, &apex)?);
+            (self.head_motion.within_face(optical_strain(&flow, self.formula)), subtracted)
         } else {
-            let features = features_of_frames(&onset, &apex, estimator.as_ref(), self.resize, self.formula)?;
+            let (features, subtracted) = features_of_frames(&onset, &apex, estimator.as_ref(), settings)?;
             if let Some(path) = &self.features {
                 write_npy(path, &[3, FEATURE_SIDE, FEATURE_SIDE], features.values())?;
             }
-            features.plane(Channel::Strain)
+            (features.plane(Channel::Strain), subtracted)
         };
         write_npy_plane(&self.out, &strain)?;
         if let Some(path) = &self.viz {
@@ -137,7 +148,8 @@ impl Job for StrainJob {
             output: self.out.clone(),
             method: estimator.name().to_owned(),
             formula: self.formula,
-            resize: (!full).then_some(self.resize),
+            resize: (!full).then_some(settings.resize),
+            head_motion: subtracted,
             width: strain.width(),
             height: strain.height(),
             mean_strain: pixels.iter().map(|&value| f64::from(value)).sum::<f64>()
@@ -155,6 +167,8 @@ pub struct StrainReport {
     pub formula: StrainFormula,
     /// `None` at full size.
     pub resize: Option<ResizeOrder>,
+    /// The motion of the head that was subtracted, in pixels of 112x112.
+    pub head_motion: Option<SubtractedMotion>,
     pub width: usize,
     pub height: usize,
     pub mean_strain: f64,

@@ -19,8 +19,8 @@ Examples:
   srflow mer synth --out hard --subjects 30 --clips 9 --intensity 0.6 --noise 2 --drift 2
   srflow mer data clips:synth
 
-Along with the frames it writes the true flow from onset to apex, the action units with their intensities, and the 68 \
-landmarks of the onset. Running the same command again continues a stopped run.")]
+Along with the frames it writes the true flow from onset to apex (also that of the head and of the expression alone), the \
+action units with their intensities, and the 68 landmarks of the onset. Running the same command again continues a stopped run.")]
 pub struct SynthJob {
     /// Folder of the dataset
     #[arg(short, long, value_name = "DIR")]

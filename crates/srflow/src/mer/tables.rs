@@ -26,7 +26,7 @@ pub struct TablesJob {
     /// Predictions of one or several methods
     #[arg(value_name = "PREDICTIONS.csv")]
     pub predictions: PathBuf,
-    /// Also write tables.{txt,csv,tex,md}, folds.csv and confusions.csv into this folder
+    /// Also write tables.{txt,csv,tex,md}, folds.csv, confusions.csv and comparisons.csv into this folder
     #[arg(long, value_name = "DIR")]
     #[serde(default)]
     pub out: Option<PathBuf>,
@@ -57,7 +57,7 @@ impl Job for TablesJob {
             .collect::<anyhow::Result<Vec<Outcome>>>()?;
         if let Some(out) = &self.out {
             create_folder(out)?;
-            write_tables(out, &outcomes, &[])?;
+            write_tables(out, None, &outcomes, &[])?;
         }
         Ok(TablesReport { outcomes })
     }

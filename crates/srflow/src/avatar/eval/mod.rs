@@ -460,7 +460,7 @@ fn flow_table(result: &FlowResult) -> Table {
             Column::plain("seen_through", "% seen through", 2),
         ],
         rows: error.parts().into_iter().map(row).collect(),
-        notes: Vec::new(),
+        ..Table::default()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt;
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, json};
@@ -84,37 +84,41 @@ impl RenderingArgs {
     }
 }
 
-/// What a run has made so far. Workers report at the same time and out of order: every number only grows.
+/// What a run has made so far. Workers report at the same time; their reports go on one by one, in order.
 #[derive(Default)]
-pub(crate) struct Made {
-    done: AtomicU64,
-    total: AtomicU64,
-    bytes: AtomicU64,
+pub(crate) struct Made(Mutex<Numbers>);
+
+#[derive(Default)]
+struct Numbers {
+    done: u64,
+    total: u64,
+    bytes: u64,
 }
 
 impl Made {
     pub(crate) fn report(&self, event: Event, units: &'static str, watch: &Watch) {
+        let mut numbers = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let mut message = String::new();
         match event {
             Event::Started { units, whole } => {
-                self.total.store(units, Ordering::Relaxed);
-                self.done.store(whole, Ordering::Relaxed);
+                numbers.total = units;
+                numbers.done = whole;
             }
             Event::Made { bytes } => {
-                self.done.fetch_add(1, Ordering::Relaxed);
-                self.bytes.fetch_max(bytes, Ordering::Relaxed);
+                numbers.done += 1;
+                numbers.bytes = numbers.bytes.max(bytes);
             }
             Event::Found { units } => message = format!("{units} found in the parts"),
             Event::Compared { units } => message = format!("{units} in several parts compared"),
             Event::Hashed { units } => message = format!("{units} hashed"),
         }
-        let bytes = self.bytes.load(Ordering::Relaxed);
+        let Numbers { done, total, bytes } = *numbers;
         if message.is_empty() && bytes > 0 {
             message = format!("{:.1} MB", bytes as f64 / 1e6);
         }
         (watch.on_progress)(&Progress {
-            done: self.done.load(Ordering::Relaxed),
-            total: Some(self.total.load(Ordering::Relaxed)),
+            done,
+            total: Some(total),
             unit: units.into(),
             message,
             facts: Map::from_iter([("bytes".to_owned(), json!(bytes))]),

@@ -4,7 +4,7 @@
     python tools/parity/mer_linear.py crates/mer/tests/golden
 
 Inputs and labels come from rules over positions, which crates/mer/tests/mer/linear.rs repeats: 40 clips of 8 subjects and 4 classes
-with 12 inputs, of which the first four tell the class. Written as safetensors:
+with 12 inputs; the first four indicate the class. Written as safetensors:
     scores.C        scores of all clips by a model of the first 30, for each inverse strength C, [40, 4]; the mean over classes is
                     taken away, which no probability depends on
     losses          mean cross-entropy of clips whose subjects were left out, for each inverse strength, [9]

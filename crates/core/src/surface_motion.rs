@@ -72,11 +72,6 @@ impl SurfaceMotion {
         at(&self.coefficients, &Axis::of(self.size).terms(x, y)).map(|component| component as f32)
     }
 
-    /// At every pixel of the flow that it was fitted to.
-    pub fn flow(&self) -> FlowField {
-        FlowField::from_fn(self.size.0, self.size.1, |x, y| self.at(x, y))
-    }
-
     /// What remains of a flow of the same size.
     ///
     /// # Panics

@@ -44,8 +44,8 @@ pub fn comparisons(outcomes: &[&Outcome]) -> Vec<Comparison> {
     found
 }
 
-/// Which scores to mark, by row: the best of each metric and those that a test does not tell apart from it, if that leaves any row out and
-/// if the best is beyond always predicting the most frequent class.
+/// Which scores to mark, by row: the best of each metric and those that do not differ significantly from it. A metric without
+/// significant differences has no marks, nor has one whose best is no better than always predicting the most frequent class.
 pub(crate) fn marked(outcomes: &[&Outcome], comparisons: &[Comparison]) -> Vec<[bool; MEASURES]> {
     let scores: Vec<SubjectScores> = outcomes.iter().map(|outcome| outcome.last_scores()).collect();
     let values: Vec<[f64; MEASURES]> = scores.iter().map(SubjectScores::measures).collect();

@@ -20,12 +20,12 @@ pub enum HeadMotion {
     Subtract,
 }
 
-named!(HeadMotion, "what to do with the head's motion", { Keep => "keep", Subtract => "subtract" });
+named!(HeadMotion, "a treatment of head motion", { Keep => "keep", Subtract => "subtract" });
 serialize_as_text!(HeadMotion);
 
 impl HeadMotion {
-    /// The flow that features are made of, and what was subtracted from it. The head's motion is that of the face; a flow of which nothing
-    /// is known there stays as it is.
+    /// The flow for the features, and the motion that was subtracted. The motion is fitted to the flow of the face; a flow without
+    /// known pixels there stays unchanged.
     pub fn applied(self, flow: FlowField) -> (FlowField, Option<SubtractedMotion>) {
         let motion = match self {
             Self::Keep => None,

@@ -61,10 +61,10 @@ pub fn report(parts: &ReportParts) -> Result<Page, ReportError> {
     let mut sections = Vec::new();
     for outcomes in by_set(parts.outcomes) {
         let set = &outcomes[0].set;
-        let mut figures: Vec<Figure> = score_tables(&outcomes, parts.left_out)
-            .iter()
-            .map(|table| score_table(table, TABLE_CAPTION))
-            .collect();
+        let captions = std::iter::once(TABLE_CAPTION).chain(std::iter::repeat(""));
+        let tables = score_tables(&outcomes, parts.left_out);
+        let mut figures: Vec<Figure> =
+            tables.iter().zip(captions).map(|(table, caption)| score_table(table, caption)).collect();
         if outcomes.iter().any(|outcome| outcome.summary.epochs.len() > 1) {
             figures.push(side_by_side(vec![accuracies(&outcomes), losses(&outcomes)], 420));
         }

@@ -130,7 +130,7 @@ impl Table {
             _ if !self.ranked() => &[],
             None => &[(Mark::Best, "best"), (Mark::Second, "second"), (Mark::Third, "third")],
             Some(tested) if tested.iter().flatten().any(|marked| *marked) => {
-                &[(Mark::Best, "best, or not told apart from it by a paired test over subjects")]
+                &[(Mark::Best, "best, or not significantly different (paired test over subjects)")]
             }
             Some(_) => &[],
         }

@@ -230,8 +230,8 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// For each of [`INVERSE_STRENGTHS`], the mean cross-entropy of clips whose subjects were left out: subjects, in order of first
-/// appearance, are dealt to at most ten parts, each of which is left out once. `None` if all clips are of one subject.
+/// For each of [`INVERSE_STRENGTHS`], the mean cross-entropy of clips of held-out subjects: the subjects are assigned in turn to at
+/// most ten parts, and each part is held out once. `None` if all clips are of one subject.
 pub fn validation_losses(
     inputs: &[&[f32]],
     labels: &[usize],

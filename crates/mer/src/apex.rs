@@ -2,19 +2,19 @@
 
 use rayon::prelude::*;
 use serde::Serialize;
-use srflow_core::resize::resize_cubic;
 use srflow_core::{FlowEstimator, Plane, luminance, named, serialize_as_text};
 use srflow_data::micro_expression::Clip;
 use srflow_face::{FacePoints, FrameCrop};
 use srflow_files::read_image;
 
+use crate::extract::{Preparation, features_of_frames};
 use crate::extract_error::{ExtractError, ExtractProblem};
 use crate::face::FaceCrop;
-use crate::features::FEATURE_SIDE;
-use crate::strain::{StrainFormula, optical_strain};
+use crate::features::{Channel, FEATURE_SIDE, Features};
+use crate::time_course::TimeCourse;
 
 /// The rule for spotting an apex.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ApexRule {
     /// The frame that differs most from the onset and least from the previous frame: the greatest mean of
     /// `(|I(t) - I(onset)| + 1) / (|I(t) - I(t - 1)| + 1)` over grey values (Quang et al. 2019, who published a list of SMIC's
@@ -23,9 +23,12 @@ pub enum ApexRule {
     Ratio,
     /// The frame to which the flow from the onset strains the face most: the greatest mean of squared optical strain.
     Strain,
+    /// The apex of a rise and fall between onset and offset that explains most of the flow from the onset ([`TimeCourse`]).
+    #[default]
+    Course,
 }
 
-named!(ApexRule, "a rule of spotting the apex", { Ratio => "ratio", Strain => "strain" });
+named!(ApexRule, "a rule of spotting the apex", { Ratio => "ratio", Strain => "strain", Course => "course" });
 serialize_as_text!(ApexRule);
 
 #[derive(Debug, Clone, PartialEq)]
@@ -36,18 +39,18 @@ pub struct SpottedApex {
     pub scores: Vec<(u64, f64)>,
 }
 
-/// Spots the apex of a clip among its frames after the onset; the first of equal frames wins. For [`ApexRule::Strain`],
-/// flow is computed between pictures of 112x112.
+/// Spots the apex of a clip among its frames after the onset; the first of equal frames wins. The flow of [`ApexRule::Strain`] and
+/// [`ApexRule::Course`] is prepared as for features.
 ///
 /// # Errors
 /// When a frame cannot be read or cropped, or the flow method fails.
 pub fn spot_apex(
     clip: &Clip,
     rule: ApexRule,
-    face: &FaceCrop,
+    preparation: &Preparation,
     estimator: &dyn FlowEstimator,
 ) -> Result<SpottedApex, ExtractError> {
-    spot(clip, rule, face, estimator).map_err(|problem| ExtractError { clip: clip.id(), problem })
+    spot(clip, rule, preparation, estimator).map_err(|problem| ExtractError { clip: clip.id(), problem })
 }
 
 /// Spots the apexes of several clips, in their order; calls `on_clip` after each.
@@ -57,16 +60,16 @@ pub fn spot_apex(
 pub fn spot_apexes(
     clips: &[&Clip],
     rule: ApexRule,
-    face: &FaceCrop,
+    preparation: &Preparation,
     estimator: &dyn FlowEstimator,
     on_clip: &(dyn Fn() + Sync),
-) -> Result<Vec<u64>, ExtractError> {
+) -> Result<Vec<SpottedApex>, ExtractError> {
     let spot = |clip: &&Clip| {
-        let spotted = spot_apex(clip, rule, face, estimator);
+        let spotted = spot_apex(clip, rule, preparation, estimator);
         on_clip();
-        spotted.map(|spotted| spotted.frame)
+        spotted
     };
-    let spotted: Vec<Result<u64, ExtractError>> = clips.par_iter().map(spot).collect();
+    let spotted: Vec<Result<SpottedApex, ExtractError>> = clips.par_iter().map(spot).collect();
     spotted.into_iter().collect()
 }
 
@@ -77,24 +80,25 @@ pub fn spot_apexes(
 pub fn fill_apexes(
     clips: &mut [Clip],
     rule: ApexRule,
-    face: &FaceCrop,
+    preparation: &Preparation,
     estimator: &dyn FlowEstimator,
     on_clip: &(dyn Fn() + Sync),
 ) -> Result<usize, ExtractError> {
     let without: Vec<&Clip> = clips.iter().filter(|clip| clip.annotation.apex.is_none()).collect();
-    let spotted = spot_apexes(&without, rule, face, estimator, on_clip)?;
+    let spotted = spot_apexes(&without, rule, preparation, estimator, on_clip)?;
     let without = clips.iter_mut().filter(|clip| clip.annotation.apex.is_none());
-    without.zip(&spotted).for_each(|(clip, apex)| clip.annotation.apex = Some(*apex));
+    without.zip(&spotted).for_each(|(clip, apex)| clip.annotation.apex = Some(apex.frame));
     Ok(spotted.len())
 }
 
 fn spot(
     clip: &Clip,
     rule: ApexRule,
-    face: &FaceCrop,
+    preparation: &Preparation,
     estimator: &dyn FlowEstimator,
 ) -> Result<SpottedApex, ExtractProblem> {
     let annotation = &clip.annotation;
+    let Preparation { face, features: settings } = preparation;
     let crop = face.of_clip(&clip.dataset, annotation)?;
     let frame = |number: u64| {
         let path = clip.frame(number).ok_or(ExtractProblem::NoFrame(number))?;
@@ -119,14 +123,24 @@ fn spot(
             }
         }
         ApexRule::Strain => {
-            let onset = resize_cubic(&onset, (FEATURE_SIDE, FEATURE_SIDE));
             for number in after {
-                let now = resize_cubic(&frame(number)?, (FEATURE_SIDE, FEATURE_SIDE));
-                let flow = estimator.estimate(&onset, &now)?;
-                let strain = optical_strain(&flow, StrainFormula::Literature);
-                let energy = strain.pixels().iter().map(|&strain| f64::from(strain) * f64::from(strain));
-                scores.push((number, energy.sum::<f64>() / strain.pixels().len() as f64));
+                let (features, _) = features_of_frames(&onset, &frame(number)?, estimator, *settings)?;
+                let strain = features.channel(Channel::Strain);
+                let energy = strain.iter().map(|&strain| f64::from(strain) * f64::from(strain));
+                scores.push((number, energy.sum::<f64>() / strain.len() as f64));
             }
+        }
+        ApexRule::Course => {
+            let mut frames = Vec::new();
+            for number in after {
+                let (features, _) = features_of_frames(&onset, &frame(number)?, estimator, *settings)?;
+                frames.push((number - annotation.onset, in_cells(&features)));
+            }
+            let numbers = frames.iter().map(|(time, _)| annotation.onset + time);
+            let course = TimeCourse::fit(&frames, annotation.offset - annotation.onset)
+                .ok_or(ExtractProblem::NoFrame(annotation.onset.saturating_add(1)))?;
+            let scores = numbers.zip(course.strengths).collect();
+            return Ok(SpottedApex { frame: annotation.onset + course.apex, scores });
         }
     }
     let mut best = None;
@@ -139,6 +153,19 @@ fn spot(
         Some((frame, _)) => Ok(SpottedApex { frame, scores }),
         None => Err(ExtractProblem::NoFrame(annotation.onset.saturating_add(1))),
     }
+}
+
+/// Means of u and v in 16 x 16 cells.
+fn in_cells(features: &Features) -> Vec<f32> {
+    const CELLS: usize = 16;
+    const SIDE: usize = FEATURE_SIDE / CELLS;
+    let mean = |channel: Channel, cell: usize| {
+        let (x, y) = (cell % CELLS * SIDE, cell / CELLS * SIDE);
+        let rows = features.channel(channel).chunks(FEATURE_SIDE).skip(y).take(SIDE);
+        rows.flat_map(|row| &row[x..x + SIDE]).sum::<f32>() / (SIDE * SIDE) as f32
+    };
+    let of = |channel| (0..CELLS * CELLS).map(move |cell| mean(channel, cell));
+    of(Channel::U).chain(of(Channel::V)).collect()
 }
 
 fn same_size(clip: &Clip, number: u64, onset: &Plane, now: &Plane) -> Result<(), ExtractProblem> {

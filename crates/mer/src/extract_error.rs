@@ -20,7 +20,7 @@ pub enum ExtractProblem {
     /// A request to stop came first.
     #[error("stopped on request")]
     Stopped,
-    #[error("it has no apex frame; spot it (`apex` ratio or strain) or give a list of apex frames")]
+    #[error("it has no apex frame; spot it (`apex` course) or give a list of apex frames")]
     NoApex,
     /// A required frame is missing.
     #[error("frame {0} is missing")]

@@ -52,7 +52,7 @@ impl HeadMotion {
 }
 
 /// Where the face is in a crop of this size: 1 in an ellipse, 0 outside.
-fn face((width, height): (usize, usize)) -> Plane {
+pub(crate) fn face((width, height): (usize, usize)) -> Plane {
     let along =
         |at: usize, side: usize, middle: f32, half: f32| ((at as f32 + 0.5) / side as f32 - middle) / half;
     Plane::from_fn(width, height, |x, y| {

@@ -24,9 +24,11 @@ mod results_csv;
 mod results_folder;
 mod run;
 mod sample;
+pub mod spotting;
 mod statistics;
 mod strain;
 mod summary;
+mod time_course;
 mod training;
 
 pub use apex::{
@@ -70,4 +72,5 @@ pub use sample::Sample;
 pub use statistics::{Interval, MEASURES, SIGNIFICANCE, SubjectScores, holm};
 pub use strain::{StrainFormula, optical_strain, strain_colors};
 pub use summary::{Best, EpochScores, FoldScores, Summary, SummaryError};
+pub use time_course::TimeCourse;
 pub use training::{Training, cross_entropy};

@@ -81,7 +81,7 @@ impl Confusion {
         };
         let product: f64 = seen.iter().map(|&class| self.recall(class)).product();
         Scores {
-            precision: mean(&|class| ratio(self.0[class][class] as f64, self.predicted(class) as f64)),
+            precision: mean(&|class| self.precision(class)),
             recall: mean(&|class| self.recall(class)),
             f1: mean(&|class| self.f1(class)),
             accuracy: ratio(self.correct() as f64, self.total() as f64),
@@ -111,11 +111,18 @@ impl Confusion {
         self.0.iter().map(|row| row[class]).sum()
     }
 
-    fn recall(&self, class: usize) -> f64 {
+    /// Share of the clips predicted as a class that are of it; 0 without any.
+    pub(crate) fn precision(&self, class: usize) -> f64 {
+        ratio(self.0[class][class] as f64, self.predicted(class) as f64)
+    }
+
+    /// Share of the clips of a class that are predicted as it; 0 without any.
+    pub(crate) fn recall(&self, class: usize) -> f64 {
         ratio(self.0[class][class] as f64, self.of_class(class) as f64)
     }
 
-    fn f1(&self, class: usize) -> f64 {
+    /// Of precision and recall of a class; 0 without clips or predictions.
+    pub(crate) fn f1(&self, class: usize) -> f64 {
         ratio(2.0 * self.0[class][class] as f64, (self.of_class(class) + self.predicted(class)) as f64)
     }
 }

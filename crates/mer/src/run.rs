@@ -362,7 +362,7 @@ pub fn compute_features(
                 let without = dataset.clips.iter().filter(|clip| unknown(clip)).count();
                 on_event(RunEvent::Apexes { clips: without });
                 let on_clip = || on_event(RunEvent::Clip);
-                fill_apexes(&mut dataset.clips, rule, &preparation.face, method.estimator, &on_clip)?
+                fill_apexes(&mut dataset.clips, rule, preparation, method.estimator, &on_clip)?
             }
             _ => 0,
         };

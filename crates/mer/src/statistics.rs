@@ -48,18 +48,8 @@ impl SubjectScores {
 
     /// Percentiles 2.5 and 97.5 of the scores of as many subjects drawn with replacement, 2000 times.
     pub fn intervals(&self) -> [Interval; MEASURES] {
-        let mut stream = Key::new(0).stream("bootstrap over subjects");
-        let count = self.subjects.len() as u32;
-        let mut drawn: [Vec<f64>; MEASURES] = std::array::from_fn(|_| Vec::with_capacity(RESAMPLES));
-        for _ in 0..RESAMPLES {
-            let chosen: Vec<usize> = (0..count).map(|_| stream.below(count) as usize).collect();
-            let found = measures(self.classes, chosen.iter().map(|&subject| &self.subjects[subject]));
-            drawn.iter_mut().zip(found).for_each(|(values, value)| values.push(value));
-        }
-        drawn.map(|mut values| {
-            values.sort_by(f64::total_cmp);
-            let at = |share: f64| values[(share * (RESAMPLES - 1) as f64).round() as usize];
-            Interval { low: at(0.025), high: at(0.975) }
+        resampled("bootstrap over subjects", self.subjects.len(), |chosen| {
+            measures(self.classes, chosen.iter().map(|&subject| &self.subjects[subject]))
         })
     }
 
@@ -102,6 +92,25 @@ impl SubjectScores {
         let (first, second) = (measures(self.classes, first), measures(self.classes, second));
         std::array::from_fn(|measure| first[measure] - second[measure])
     }
+}
+
+/// Percentiles 2.5 and 97.5 of what is measured of `count` units drawn with replacement, 2000 times.
+pub(crate) fn resampled<const N: usize>(
+    purpose: &str,
+    count: usize,
+    measured: impl Fn(&[usize]) -> [f64; N],
+) -> [Interval; N] {
+    let mut stream = Key::new(0).stream(purpose);
+    let mut drawn: [Vec<f64>; N] = std::array::from_fn(|_| Vec::with_capacity(RESAMPLES));
+    for _ in 0..RESAMPLES {
+        let chosen: Vec<usize> = (0..count).map(|_| stream.below(count as u32) as usize).collect();
+        drawn.iter_mut().zip(measured(&chosen)).for_each(|(values, value)| values.push(value));
+    }
+    drawn.map(|mut values| {
+        values.sort_by(f64::total_cmp);
+        let at = |share: f64| values[(share * (RESAMPLES - 1) as f64).round() as usize];
+        Interval { low: at(0.025), high: at(0.975) }
+    })
 }
 
 fn measures<'a>(

@@ -56,7 +56,7 @@ pub enum RenderError {
         expected: &'static str,
     },
     #[error(
-        "{}: expected a dataset of `srflow render`, `srflow shapes` or `srflow mer synth`, found no dataset.json, shapes.json or synth.json; \
+        "{}: expected a dataset of `srflow render`, `srflow shapes`, `srflow mer synth` or `srflow mer synth-long`, found no dataset.json, shapes.json, synth.json or long.json; \
          give the folder that one of these commands wrote",
         .0.display()
     )]

@@ -11,6 +11,7 @@ pub mod generate;
 mod head;
 pub mod job;
 pub mod label_error;
+pub mod long;
 pub mod merge;
 pub mod mesh_error;
 mod parts;

@@ -16,9 +16,10 @@ use srflow_files::{FileError, FileKind, create_folder, read_text, remove_partial
 use crate::RenderError;
 use crate::generate::write_statistics;
 use crate::job::{Event, Layout, claim_as, complete, first_difference, until_kept};
+use crate::long::{self, Videos};
 use crate::record::read_record;
 use crate::shapes::{ShapesLayout, write_split};
-use crate::synth::{Clips, finish};
+use crate::synth::{self, Clips};
 
 /// Units whose names are listed in messages.
 const NAMED: usize = 10;
@@ -93,7 +94,7 @@ pub enum MergeError {
     File(#[from] FileError),
 }
 
-/// Brings the parts of a dataset of `srflow render`, `srflow shapes` or `srflow mer synth` together by hard links, or by copies where the
+/// Brings the parts of a dataset of `srflow render`, `srflow shapes`, `srflow mer synth` or `srflow mer synth-long` together by hard links, or by copies where the
 /// parts are on another disk, and writes what parts alone cannot: statistics, tables and hashes. Nothing is changed in the parts.
 /// A merge that was interrupted is continued by the next.
 ///
@@ -111,7 +112,10 @@ pub fn merge(request: Request) -> Result<Merged, MergeError> {
         merge_of(&shapes, request, |dir| write_split(dir, shapes.pairs()))
     } else if has(Clips::MANIFEST) {
         let clips = Clips::read(first)?;
-        merge_of(&clips, request, |dir| finish(dir, &clips).map(drop))
+        merge_of(&clips, request, |dir| synth::finish(dir, &clips).map(drop))
+    } else if has(Videos::MANIFEST) {
+        let videos = Videos::read(first)?;
+        merge_of(&videos, request, |dir| long::finish(dir, &videos).map(drop))
     } else {
         Err(MergeError::NotAPart(first.clone()))
     }

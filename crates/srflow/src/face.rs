@@ -138,6 +138,21 @@ impl FaceArgs {
         })
     }
 
+    /// As [`of_first_frame`](Self::of_first_frame), for one of several videos: `landmarks` with a column `video` name them.
+    ///
+    /// # Errors
+    /// When landmarks cannot be read or found.
+    pub fn of_video(&self, video: &str, first: &Image) -> anyhow::Result<FoundFace> {
+        if let Some(path) = &self.landmarks {
+            let table = LandmarkTable::read(path, &[], &[VIDEO])?;
+            if table.rows().iter().any(|row| row.keys.first().is_some_and(|name| !name.is_empty())) {
+                let points = table.of(video)?.clone();
+                return Ok(FoundFace { crop: FrameCrop::upright(&points), points: Some(points) });
+            }
+        }
+        self.of_first_frame(first)
+    }
+
     /// Finds the box about the face in single frames, such as the first ones of pairs.
     ///
     /// # Errors
@@ -161,6 +176,9 @@ fn read_table(path: &Path, needed: &[&str]) -> anyhow::Result<LandmarkTable> {
     }
     Ok(table)
 }
+
+/// Column of the names of videos in a file of landmarks.
+const VIDEO: &str = "video";
 
 /// Column of the names of pairs in a file of landmarks.
 const PAIR: &str = "pair";

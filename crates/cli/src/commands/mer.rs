@@ -17,7 +17,10 @@ pub struct Mer {
 enum MerCommand {
     Data(mer::data::DataJob),
     Synth(mer::synth::SynthJob),
+    SynthLong(mer::synth_long::SynthLongJob),
     Apex(mer::apex::ApexJob),
+    Spot(mer::spot::SpotJob),
+    SpotScore(mer::spot_score::SpotScoreJob),
     Strain(mer::strain::StrainJob),
     Features(mer::features::FeaturesJob),
     Run(mer::run::RunJob),
@@ -28,7 +31,10 @@ pub fn run(args: Mer, context: &Context) -> anyhow::Result<()> {
     match args.command {
         MerCommand::Data(job) => run_job(&job, context),
         MerCommand::Synth(job) => run_job(&job, context),
+        MerCommand::SynthLong(job) => run_job(&job, context),
         MerCommand::Apex(job) => run_job(&job, context),
+        MerCommand::Spot(job) => run_job(&job, context),
+        MerCommand::SpotScore(job) => run_job(&job, context),
         MerCommand::Strain(job) => run_job(&job, context),
         MerCommand::Features(job) => run_job(&job, context),
         MerCommand::Run(job) => run_job(&job, context),

@@ -10,8 +10,8 @@ pub struct Form {
     pub columns: &'static [&'static str],
 }
 
-/// Those of clips, one for each dataset.
-pub static FORMS: [&Form; 3] = [&SAMM, &CASME2, &SMIC];
+/// Those that a user may mistake for one another.
+pub static FORMS: [&Form; 5] = [&SAMM, &CASME2, &SMIC, &SAMM_LONG, &CASME3];
 
 pub static SAMM: Form = Form {
     kind: "samm",
@@ -52,4 +52,16 @@ pub static SMIC: Form = Form {
     kind: "smic",
     called: "SMIC-HS's annotations (SMIC-HS-E_annotation.xlsx)",
     columns: &["Subject", "Filename", "OnsetF", "OffsetF", "Onset2F", "Emotion"],
+};
+
+pub static SAMM_LONG: Form = Form {
+    kind: "samm-long",
+    called: "SAMM Long Videos' expressions (SAMM_LongVideos_V2_Release.xlsx)",
+    columns: &["Subject", "Filename", "Onset", "Apex", "Offset", "Type", "Action Units"],
+};
+
+pub static CASME3: Form = Form {
+    kind: "casme3",
+    called: "the expressions of CAS(ME)³, part A (CAS(ME)3_part_A_v2.xls, saved as .xlsx)",
+    columns: &["Subject", "Filename", "Onset", "Apex", "Offset", "AU", "Expression type"],
 };

@@ -14,6 +14,7 @@ mod composite;
 mod error;
 mod forms;
 mod frames;
+pub mod intervals;
 mod plain;
 mod samm;
 mod sheet;

@@ -144,7 +144,7 @@ fn no_annotations(form: &Form, dir: &Path, found: String) -> MicroExpressionErro
 }
 
 /// Reads a spreadsheet of one form: the first sheet with its header row.
-fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
+pub fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
     let sheets = read_sheets(path)?;
     for rows in &sheets {
         if let Some((header, columns)) = header_of(rows, form.columns) {
@@ -186,7 +186,7 @@ fn header_key(text: &str) -> String {
 }
 
 /// The sheets of a spreadsheet, or the only one of a CSV file.
-fn read_sheets(path: &Path) -> Result<Vec<Cells>, MicroExpressionError> {
+pub fn read_sheets(path: &Path) -> Result<Vec<Cells>, MicroExpressionError> {
     if listing::has_ending(path, &["csv"]) {
         return Ok(vec![csv_sheet(path)?]);
     }

@@ -146,13 +146,19 @@ fn clips_that_cannot_be_used_are_named() {
     assert!(unknown.contains("s0/c0: it has no apex frame"), "{unknown}");
 }
 
+/// Without a fit to the head: the flow of [`Brightness`] is no head's.
+fn kept() -> Preparation {
+    let features = FeatureSettings { head_motion: HeadMotion::Keep, ..FeatureSettings::default() };
+    Preparation { face: FaceCrop::Whole, features }
+}
+
 #[test]
-fn apexes_are_spotted_by_both_rules() {
+fn apexes_are_spotted_by_every_rule() {
     let folder = tempfile::tempdir().unwrap();
     let clips = clips(folder.path(), true);
     let estimator = Brightness::default();
     for rule in ApexRule::ALL {
-        let spot = |clip: &Clip| spot_apex(clip, rule, &FaceCrop::Whole, &estimator).unwrap();
+        let spot = |clip: &Clip| spot_apex(clip, rule, &kept(), &estimator).unwrap();
         let spotted: Vec<u64> = clips.iter().map(|clip| spot(clip).frame).collect();
         let errors = apex_errors(clips.iter().zip(spotted.iter().copied())).unwrap();
         assert_eq!(errors.clips, 3);
@@ -171,8 +177,7 @@ fn only_missing_apexes_are_filled() {
     let folder = tempfile::tempdir().unwrap();
     let mut clips = clips(folder.path(), false);
     clips[1].annotation.apex = Some(8);
-    let filled =
-        fill_apexes(&mut clips, ApexRule::Strain, &FaceCrop::Whole, &Brightness::default(), &|| ()).unwrap();
+    let filled = fill_apexes(&mut clips, ApexRule::Strain, &kept(), &Brightness::default(), &|| ()).unwrap();
     let apexes: Vec<Option<u64>> = clips.iter().map(|clip| clip.annotation.apex).collect();
     assert_eq!((filled, apexes), (2, vec![Some(5), Some(8), Some(7)]));
     assert_eq!(apex_errors([]), None);

@@ -19,6 +19,7 @@ use super::problem::Problem;
 use crate::RenderError;
 use crate::generate::{Background, Settings, generate};
 use crate::job::{Layout, Request};
+use crate::long::Videos;
 use crate::shapes::ShapesLayout;
 use crate::synth::Clips;
 
@@ -39,7 +40,7 @@ pub struct Rerendered {
     pub problems: Vec<Problem>,
 }
 
-/// Compares every file of the dataset in `dir`, of `srflow render`, `srflow shapes` or `srflow mer synth`, with its hash in `SHA256SUMS`.
+/// Compares every file of the dataset in `dir`, of `srflow render`, `srflow shapes`, `srflow mer synth` or `srflow mer synth-long`, with its hash in `SHA256SUMS`.
 /// Calls `on_files` with the number of files that were read, and of all. Returns the first and the problems.
 ///
 /// # Errors
@@ -52,6 +53,8 @@ pub fn check_hashes(dir: &Path, on_files: &dyn Fn(u64, u64)) -> Result<(u64, Vec
         check_hashes_of(&ShapesLayout::read(dir)?, dir, on_files)
     } else if has(Clips::MANIFEST) {
         check_hashes_of(&Clips::read(dir)?, dir, on_files)
+    } else if has(Videos::MANIFEST) {
+        check_hashes_of(&Videos::read(dir)?, dir, on_files)
     } else {
         Err(RenderError::NoDataset(dir.to_owned()))
     }

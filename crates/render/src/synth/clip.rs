@@ -1,25 +1,20 @@
 //! One clip: a head with a micro-expression and a slight drift, in front of a static camera.
 
-use glam::{DVec3, EulerRot, Quat, Vec3};
+use glam::{EulerRot, Quat, Vec3};
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::{Key, Stream};
 use srflow_head::{HeadModelError, HeadPose, MicroExpression};
 use srflow_splat::{Camera, Gaussians};
 
+use super::portrait::{camera, landmarks_in_image};
 use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};
 use crate::action_units::{action_unit_sets, unit_name};
-use crate::generate::{Rig, SmoothPath, View};
+use crate::generate::SmoothPath;
 use crate::recording::Light;
-
-/// Width of the frame relative to the face's landmarks.
-const MARGIN: f64 = 1.18;
 
 /// Maximum rotation (yaw, pitch, roll in degrees) and translation (metres) of the head within a clip, at drift 1.
 const DRIFT_DEGREES: [f32; 3] = [0.12, 0.1, 0.08];
 const DRIFT_METRES: f32 = 0.00015;
-
-/// Variation of the framing between clips of one subject: degrees of azimuth, elevation and roll.
-const VIEW_DEGREES: [f32; 3] = [6.0, 4.0, 2.0];
 
 /// Seconds between control points of the drift.
 const DRIFT_KNOT_SECONDS: f32 = 0.25;
@@ -87,9 +82,7 @@ impl Clip {
 
     /// Image positions of dlib's 68 landmarks on a posed head, in pixels.
     pub fn landmarks(&self, avatar: &Avatar, head: &PosedHead) -> Vec<[f64; 2]> {
-        let seen = landmarks(avatar, head.vertices()).map(|point| self.camera.project(point));
-        // The face is in front of the camera, so every landmark has an image position.
-        seen.map(|seen| seen.map_or([0.0; 2], |(pixel, _)| pixel.to_array())).collect()
+        landmarks_in_image(avatar, head, &self.camera)
     }
 
     /// Action units at the apex, by name.
@@ -119,28 +112,6 @@ impl Clip {
         avatar.gaussians_into(&self.pose(avatar, moment)?, head, out);
         Ok(())
     }
-}
-
-fn landmarks<'a>(avatar: &'a Avatar, vertices: &'a [Vec3]) -> impl Iterator<Item = DVec3> + 'a {
-    avatar.model().landmarks_on(vertices).take(68).map(|place| place.as_dvec3())
-}
-
-/// A camera at a distance of one metre whose square frame the face fills.
-fn camera(avatar: &Avatar, side: usize, stream: &mut Stream) -> Camera {
-    let at_rest: Vec<DVec3> = landmarks(avatar, &avatar.shaped().vertices).collect();
-    let low = at_rest.iter().copied().fold(DVec3::INFINITY, DVec3::min);
-    let high = at_rest.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
-    let extent = (high - low).x.max((high - low).y) * MARGIN;
-    // The landmarks end at the brows; the centre of the face is above theirs.
-    let centre = (low + high) / 2.0 + DVec3::Y * 0.08 * extent;
-    let [azimuth, elevation, roll] = VIEW_DEGREES.map(|reach| f64::from(stream.uniform(-reach, reach)));
-    let shift = [0, 1].map(|_| f64::from(stream.uniform(-0.03, 0.03)) * side as f64);
-    let mut camera = Rig::new(side, side, centre).camera(View { azimuth, elevation, roll });
-    camera.fx = side as f64 / extent;
-    camera.fy = camera.fx;
-    camera.cx += shift[0];
-    camera.cy += shift[1];
-    camera
 }
 
 /// Slow rotations and translations of the head, throughout the clip.

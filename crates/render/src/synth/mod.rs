@@ -17,6 +17,7 @@
 //! the number of threads.
 
 mod clip;
+pub(crate) mod portrait;
 mod settings;
 mod work;
 
@@ -91,23 +92,11 @@ pub(crate) fn finish(dir: &Path, plan: &Clips) -> Result<(usize, f64), RenderErr
 
 /// Writes `landmarks.csv` and, last, `clips.csv`.
 fn write_tables(dir: &Path, plan: &[ClipPlan], records: &[ClipRecord]) -> Result<(), RenderError> {
-    write_atomically(&dir.join(LANDMARKS_NAME), |writer| {
-        write!(writer, "subject,clip,frame")?;
-        for axis in ["x", "y"] {
-            for number in 0..68 {
-                write!(writer, ",{axis}_{number}")?;
-            }
-        }
-        for (clip, record) in plan.iter().zip(records) {
-            write!(writer, "\n{},{},{}", clip.subject_name, clip.name, record.onset)?;
-            for axis in 0..2 {
-                for point in &record.landmarks {
-                    write!(writer, ",{:.3}", point[axis])?;
-                }
-            }
-        }
-        writeln!(writer)
-    })?;
+    let rows = plan.iter().zip(records).map(|(clip, record)| {
+        let keys = vec![clip.subject_name.clone(), clip.name.clone(), record.onset.to_string()];
+        (keys, record.landmarks.as_slice())
+    });
+    write_landmarks(&dir.join(LANDMARKS_NAME), &["subject", "clip", "frame"], rows)?;
     let annotation = |(clip, record): (&ClipPlan, &ClipRecord)| Annotation {
         subject: clip.subject_name.clone(),
         clip: clip.name.clone(),
@@ -121,4 +110,29 @@ fn write_tables(dir: &Path, plan: &[ClipPlan], records: &[ClipRecord]) -> Result
     let rows: Vec<Annotation> = plan.iter().zip(records).map(annotation).collect();
     write_plain(&dir.join(PLAIN_NAME), &Classes::default(), &rows)?;
     Ok(())
+}
+
+/// Writes a table of the 68 points of dlib, with these columns before them, as `--landmarks` reads it.
+pub(crate) fn write_landmarks<'a>(
+    path: &Path,
+    keys: &[&str],
+    rows: impl IntoIterator<Item = (Vec<String>, &'a [[f64; 2]])>,
+) -> Result<(), RenderError> {
+    Ok(write_atomically(path, |writer| {
+        write!(writer, "{}", keys.join(","))?;
+        for axis in ["x", "y"] {
+            for number in 0..68 {
+                write!(writer, ",{axis}_{number}")?;
+            }
+        }
+        for (keys, points) in rows {
+            write!(writer, "\n{}", keys.join(","))?;
+            for axis in 0..2 {
+                for point in points {
+                    write!(writer, ",{:.3}", point[axis])?;
+                }
+            }
+        }
+        writeln!(writer)
+    })?)
 }

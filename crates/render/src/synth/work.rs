@@ -10,6 +10,7 @@ use srflow_files::{write_file, write_flow_as, write_image_png, write_mask_png};
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::clip::{Clip, Moment};
+use super::portrait::BACKDROP;
 use super::settings::{ClipPlan, Motion, SynthSettings};
 use crate::RenderError;
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
@@ -20,9 +21,6 @@ const SETTINGS_NAME: &str = "synth.json";
 
 /// Name of the file of landmarks.
 pub const LANDMARKS_NAME: &str = "landmarks.csv";
-
-/// The background of the heads: a laboratory's grey backdrop.
-const BACKDROP: [f32; 3] = [0.55, 0.56, 0.57];
 
 type Work<'w> = crate::job::Work<'w, Clips>;
 

@@ -4,6 +4,8 @@ mod capture;
 mod check;
 mod device;
 mod label_error;
+mod long;
+mod long;
 mod made;
 mod recording;
 mod regions;

@@ -117,6 +117,32 @@ impl Source {
         }
     }
 
+    /// Frames per second of a video, where they are known.
+    pub fn measured_rate(&self) -> Option<f64> {
+        let Self::Video(_, video::Facts { rate: Some(rate), .. }) = self else { return None };
+        let (above, below) = rate.split_once('/').unwrap_or((rate, "1"));
+        let rate = above.parse::<f64>().ok()? / below.parse::<f64>().ok()?;
+        rate.is_finite().then_some(rate)
+    }
+
+    /// The file of a video.
+    pub fn video(&self) -> Option<&Path> {
+        match self {
+            Self::Files(_) => None,
+            Self::Video(path, _) => Some(path),
+        }
+    }
+
+    /// Number of the first frame: that in its file's name; 1 in a video.
+    pub fn first_number(&self) -> i64 {
+        match self {
+            Self::Files(files) => {
+                FrameNames::new(files.clone()).numbers().first().copied().flatten().unwrap_or(1)
+            }
+            Self::Video(..) => 1,
+        }
+    }
+
     /// The first frame.
     ///
     /// # Errors

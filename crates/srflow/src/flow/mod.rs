@@ -1,7 +1,7 @@
 //! Flow between frames: pairs, folders of frames, videos.
 
 mod extra;
-mod frames;
+pub(crate) mod frames;
 mod outputs;
 mod report;
 

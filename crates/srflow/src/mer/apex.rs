@@ -2,11 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use srflow_data::micro_expression::{ApexRow, Clip, ClipSource, write_apex_list};
-use srflow_mer::{ApexErrors, ApexRule, apex_errors, spot_apexes};
+use srflow_files::write_atomically;
+use srflow_mer::{
+    ApexErrors, ApexRule, FeatureSettings, HeadMotion, Preparation, ResizeOrder, SpottedApex, apex_errors,
+    spot_apexes,
+};
 
 use super::SourceArgs;
 use crate::clap::Args;
@@ -19,30 +23,43 @@ use crate::{Job, Report, Watch};
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[command(after_help = format!("\
 Examples:
-  srflow mer apex smic:/data/SMIC --rule ratio --landmarks smic68.csv --out smic_apex.csv
-  srflow mer apex samm:/data/SAMM casme2:/data/CASME2 --rule strain --method farneback
+  srflow mer apex smic:/data/SMIC --face detect --out smic_apex.csv
+  srflow mer apex samm:/data/SAMM casme2:/data/CASME2 --method farneback --curves curves.csv
 
-`ratio` picks the frame that differs most from the onset and least from the previous frame; `strain` the one to which the \
-flow strains the face most. --out writes a list for --apex-list.
+`course` fits a rise and fall between onset and offset to the flow; `strain` picks the frame to which the flow strains \
+the face most; `ratio` the one that differs most from the onset and least from the previous frame. --out writes a list \
+for --apex-list.
 
 {}", super::sources::kinds_help()))]
 pub struct ApexJob {
     /// Datasets
     #[arg(required = true, value_name = "KIND:DIR")]
     pub datasets: Vec<ClipSource>,
-    /// Rule: ratio or strain
-    #[arg(long, value_name = "RULE", default_value_t = DEFAULT_RULE)]
-    #[serde(default = "default_rule")]
+    /// Rule: course, strain or ratio
+    #[arg(long, value_name = "RULE", default_value_t)]
+    #[serde(default)]
     pub rule: ApexRule,
-    /// How to estimate the flow, for the rule `strain`
+    /// How to estimate the flow, for the rules `course` and `strain`
     #[arg(long, value_name = "METHOD", default_value_t, help = method_help())]
     #[serde(default)]
     pub method: MethodSpec,
+    /// Resize to 112x112: the frames before estimating the flow, or the flow after [default: after]
+    #[arg(long, value_name = "ORDER")]
+    #[serde(default)]
+    pub resize: Option<ResizeOrder>,
+    /// The head's motion in the flow: keep or subtract
+    #[arg(long, value_name = "WHAT", default_value_t)]
+    #[serde(default)]
+    pub head_motion: HeadMotion,
+    /// Write the rule's curve of every frame as CSV
+    #[arg(long, value_name = "FILE")]
+    #[serde(default)]
+    pub curves: Option<PathBuf>,
     /// Write the apex frames as a CSV list
     #[arg(short, long, value_name = "FILE")]
     #[serde(default)]
     pub out: Option<PathBuf>,
-    /// Overwrite an existing list
+    /// Overwrite existing files
     #[arg(long)]
     #[serde(default)]
     pub force: bool,
@@ -57,23 +74,20 @@ pub struct ApexJob {
     pub parameters: MethodParameters,
 }
 
-const DEFAULT_RULE: ApexRule = ApexRule::Strain;
-
-fn default_rule() -> ApexRule {
-    DEFAULT_RULE
-}
-
 fn method_help() -> String {
-    format!("For the rule `strain`. {}", methods::Method::help())
+    format!("For the rules `course` and `strain`. {}", methods::Method::help())
 }
 
 impl ApexJob {
-    /// Spots the apexes of these datasets by the rule `strain`.
+    /// Spots the apexes of these datasets by the rule `course`.
     pub fn new(datasets: Vec<ClipSource>) -> Self {
         Self {
             datasets,
-            rule: DEFAULT_RULE,
+            rule: ApexRule::default(),
             method: MethodSpec::default(),
+            resize: None,
+            head_motion: HeadMotion::default(),
+            curves: None,
             out: None,
             force: false,
             sources: SourceArgs::default(),
@@ -89,15 +103,27 @@ impl Job for ApexJob {
     type Report = ApexReport;
 
     fn work(&self, watch: &Watch) -> anyhow::Result<ApexReport> {
-        self.out.as_ref().map_or(Ok(()), |path| ensure_extension(path, "csv"))?;
-        ensure_free(&self.out, self.force)?;
+        let outputs = || [&self.out, &self.curves].into_iter().flatten();
+        outputs().try_for_each(|path| ensure_extension(path, "csv"))?;
+        ensure_free(outputs(), self.force)?;
         let estimator = methods::estimator(&self.method, &self.parameters, watch)?;
         let (datasets, _frames) = self.sources.open(&self.datasets, watch)?;
         let clips: Vec<&Clip> = datasets.iter().flat_map(|dataset| &dataset.clips).collect();
         let landmarks = || self.out.as_deref().unwrap_or("apexes".as_ref()).with_extension("landmarks.csv");
         let face = self.face.of_clips(clips.iter().copied(), landmarks, self.force, watch)?;
         let done = watch.count("clips", clips.len() as u64);
-        let spotted = spot_apexes(&clips, self.rule, &face, estimator.as_ref(), &|| done.inc())?;
+        let default = FeatureSettings::default();
+        let features = FeatureSettings {
+            resize: self.resize.unwrap_or(default.resize),
+            head_motion: self.head_motion,
+            ..default
+        };
+        let preparation = Preparation { face, features };
+        let curves = spot_apexes(&clips, self.rule, &preparation, estimator.as_ref(), &|| done.inc())?;
+        let spotted: Vec<u64> = curves.iter().map(|apex| apex.frame).collect();
+        if let Some(path) = &self.curves {
+            write_curves(path, &clips, &curves)?;
+        }
         if let Some(path) = &self.out {
             let rows: Vec<ApexRow> =
                 clips.iter().zip(&spotted).map(|(clip, apex)| ApexRow { clip, apex: *apex }).collect();
@@ -112,21 +138,45 @@ impl Job for ApexJob {
         }
         Ok(ApexReport {
             rule: self.rule,
-            face: face.to_string(),
-            method: (self.rule == ApexRule::Strain).then(|| estimator.name().to_owned()),
+            preparation: match self.rule {
+                ApexRule::Ratio => preparation.face.to_string(),
+                ApexRule::Strain | ApexRule::Course => preparation.to_string(),
+            },
+            method: (self.rule != ApexRule::Ratio).then(|| estimator.name().to_owned()),
             clips: pairs().map(|(clip, spotted)| SpottedClip::new(clip, spotted)).collect(),
             errors,
         })
     }
 }
 
+/// Writes the curve of each clip, a row for every frame after the onset.
+fn write_curves(path: &Path, clips: &[&Clip], curves: &[SpottedApex]) -> anyhow::Result<()> {
+    Ok(write_atomically(path, |writer| {
+        let mut table = csv::Writer::from_writer(writer);
+        table.write_record(["dataset", "subject", "clip", "frame", "value"])?;
+        for (clip, curve) in clips.iter().zip(curves) {
+            let Clip { dataset, annotation, .. } = clip;
+            for (frame, value) in &curve.scores {
+                table.write_record([
+                    dataset.as_str(),
+                    &annotation.subject,
+                    &annotation.clip,
+                    &frame.to_string(),
+                    &format!("{value:.6}"),
+                ])?;
+            }
+        }
+        table.flush()
+    })?)
+}
+
 /// The spotted apexes.
 #[derive(Debug, Clone, Serialize)]
 pub struct ApexReport {
     pub rule: ApexRule,
-    /// How the face was cropped.
-    pub face: String,
-    /// The flow method, for the rule `strain`.
+    /// How the face was cropped and the flow prepared.
+    pub preparation: String,
+    /// The flow method, for the rules `course` and `strain`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub method: Option<String>,
     pub clips: Vec<SpottedClip>,
@@ -181,7 +231,7 @@ impl fmt::Display for ApexReport {
                 format_args!(
                     "{dataset}: mean error {mean_absolute:.2} frames over {clips} clips by {} ({}), against \
                      {of_the_middle:.2} frames for the middle of the clip",
-                    self.rule, self.face
+                    self.rule, self.preparation
                 ),
             )?;
         }

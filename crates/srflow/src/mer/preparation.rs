@@ -16,7 +16,7 @@ use crate::face::FaceArgs;
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct PreparationArgs {
-    /// How to spot the apex of clips without one: ratio or strain
+    /// How to spot the apex of clips without one: course, strain or ratio
     #[arg(long, value_name = "RULE")]
     pub apex: Option<ApexRule>,
     /// Formula of the optical strain: literature or off-tanet

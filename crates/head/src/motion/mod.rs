@@ -1,9 +1,19 @@
 //! Smooth random motion of a face: expressions, speech, blinks, gaze and the neck.
 
+mod curve;
+mod eyes;
+mod speech;
+
 use glam::{EulerRot, Quat};
 use srflow_core::random::{Key, Stream};
 
 use crate::{HeadModel, HeadPose, JointRole, Side};
+use curve::Curve;
+use speech::speech_units;
+
+pub use curve::quintic;
+pub use eyes::{Blinks, Gaze, add_lids, turn_eyes};
+pub use speech::Speech;
 
 /// One frame of a motion.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,10 +56,10 @@ pub struct Motion {
     frames: usize,
     frames_per_second: f32,
     events: Vec<Event>,
-    blinks: Vec<f32>,
-    fixations: Vec<Fixation>,
+    blinks: Blinks,
+    gaze: Gaze,
     neck: [Curve; 3],
-    speech: [Curve; 3],
+    speech: Speech,
     available: Vec<(u8, Side)>,
 }
 
@@ -64,18 +74,6 @@ struct Event {
     speech: bool,
 }
 
-/// A gaze fixation.
-#[derive(Debug, Clone, Copy)]
-struct Fixation {
-    start: f32,
-    gaze: [f32; 2],
-}
-
-/// Duration of an eye movement between fixations, seconds: long for a saccade, short for a pursuit.
-const GAZE_SHIFT_SECONDS: f32 = 0.14;
-/// Duration of closing and of opening the lids, seconds.
-const BLINK_SECONDS: [f32; 2] = [0.11, 0.19];
-
 impl Motion {
     /// The motion for `key` (with its scene), of `frames` frames, for this head model.
     pub fn new(model: &HeadModel, key: Key, frames: usize, frames_per_second: f32) -> Self {
@@ -87,18 +85,14 @@ impl Motion {
         };
         Self {
             events: events(&mut key.stream("expressions"), seconds, &available),
-            blinks: blinks(&mut key.stream("blinks"), seconds),
-            fixations: fixations(&mut key.stream("gaze"), seconds),
+            blinks: Blinks::random(key, seconds),
+            gaze: Gaze::random(key, seconds),
             neck: [
                 curve("neck yaw", 0.9, 0.26),
                 curve("neck pitch", 0.8, 0.15),
                 curve("neck roll", 1.1, 0.11),
             ],
-            speech: [
-                curve("speech jaw", 0.13, 1.0),
-                curve("speech width", 0.19, 1.0),
-                curve("speech lips", 0.16, 1.0),
-            ],
+            speech: Speech::random(key, seconds),
             available,
             frames,
             frames_per_second,
@@ -118,32 +112,27 @@ impl Motion {
     pub fn at(&self, model: &HeadModel, frame: usize) -> Moment {
         let time = frame as f32 / self.frames_per_second;
         let ease = self.ease(frame);
-        let gaze = self.gaze(time).map(|angle| angle * ease);
+        let gaze = self.gaze.at(time).map(|angle| angle * ease);
         let mut units: Vec<(u8, Side, f32)> = Vec::new();
         for event in &self.events {
             let strength = event.strength(time) * ease;
             if strength > 0.0 {
-                let spoken = if event.speech { self.spoken(time) } else { [1.0; 3] };
+                let spoken = self.speech.channels_at(time);
                 for &(number, side, intensity) in &event.units {
-                    let modulation = if event.speech { spoken[speech_channel(number)] } else { 1.0 };
+                    let modulation = if event.speech { spoken[speech::channel(number)] } else { 1.0 };
                     add_unit(&mut units, number, side, intensity * strength * modulation);
                 }
             }
         }
-        let lids = (self.blink(time) * ease).max(-gaze[1] * 0.9).min(1.0);
-        self.add_lids(&mut units, lids, gaze[1]);
+        add_lids(&mut units, &self.available, self.blinks.closed_at(time) * ease, gaze);
         units.retain(|u| u.2 > 0.0);
         // Only units of the model are ever added, so this cannot fail.
         let mut pose = model.pose_of_action_units(&units).unwrap_or_default();
         let [yaw, pitch, roll] = [0, 1, 2].map(|axis| self.neck[axis].at(time) * ease);
-        let turn = |yaw: f32, pitch: f32, roll: f32| Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
         if let Some(neck) = model.joint(JointRole::Neck) {
-            *pose.joint_mut(neck) *= turn(yaw, pitch, roll);
+            *pose.joint_mut(neck) *= Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
         }
-        for eye in [JointRole::LeftEye, JointRole::RightEye].into_iter().filter_map(|role| model.joint(role))
-        {
-            *pose.joint_mut(eye) *= turn(gaze[0], gaze[1], 0.0);
-        }
+        turn_eyes(&mut pose, model, gaze);
         Moment { pose, action_units: units, gaze }
     }
 
@@ -155,44 +144,6 @@ impl Motion {
         let from_start = frame as f32 / self.frames_per_second;
         let to_end = last.saturating_sub(frame) as f32 / self.frames_per_second;
         quintic(from_start / ease) * quintic(to_end / ease)
-    }
-
-    fn blink(&self, time: f32) -> f32 {
-        let [close, open] = BLINK_SECONDS;
-        let closed =
-            |start: f32| quintic((time - start) / close) * quintic((start + close + open - time) / open);
-        self.blinks.iter().map(|&start| closed(start)).fold(0.0, f32::max)
-    }
-
-    fn gaze(&self, time: f32) -> [f32; 2] {
-        let mut gaze = [0.0; 2];
-        for fixation in &self.fixations {
-            let arrived = quintic((time - fixation.start) / GAZE_SHIFT_SECONDS);
-            gaze = [0, 1].map(|axis| gaze[axis] + (fixation.gaze[axis] - gaze[axis]) * arrived);
-        }
-        gaze
-    }
-
-    /// Opening of the jaw, and width and rounding of the lips during speech, `0..=1`.
-    fn spoken(&self, time: f32) -> [f32; 3] {
-        [0, 1, 2].map(|channel| (self.speech[channel].at(time) * 0.9 + 0.45).clamp(0.0, 1.0))
-    }
-
-    /// Lids follow the gaze: down and closed for a blink, raised when looking up.
-    fn add_lids(&self, units: &mut Vec<(u8, Side, f32)>, closed: f32, gaze_up: f32) {
-        let number = if self.has(45) { 45 } else { 43 };
-        for &(n, side) in self.available.iter().filter(|(n, _)| *n == number) {
-            add_unit(units, n, side, closed);
-        }
-        if closed <= 0.0 {
-            for &(n, side) in self.available.iter().filter(|(n, _)| *n == 5) {
-                add_unit(units, n, side, (gaze_up * 1.2).clamp(0.0, 0.5));
-            }
-        }
-    }
-
-    fn has(&self, number: u8) -> bool {
-        self.available.iter().any(|(n, _)| *n == number)
     }
 }
 
@@ -253,84 +204,9 @@ fn expression_units(stream: &mut Stream, available: &[(u8, Side)]) -> Vec<(u8, S
     units
 }
 
-/// Which [`Motion::spoken`] channel moves a unit: jaw, widened lips or rounded lips.
-fn speech_channel(number: u8) -> usize {
-    match number {
-        25 | 26 => 0,
-        20 | 10 | 16 => 1,
-        _ => 2,
-    }
-}
-
-fn speech_units(available: &[(u8, Side)]) -> Vec<(u8, Side, f32)> {
-    const SPEECH: [(u8, f32); 7] =
-        [(25, 0.8), (26, 0.55), (20, 0.3), (10, 0.25), (16, 0.35), (18, 0.5), (17, 0.3)];
-    let listed = |&(number, weight): &(u8, f32)| {
-        let sides = available.iter().filter(move |(n, _)| *n == number);
-        sides.map(move |&(n, side)| (n, side, weight)).collect::<Vec<_>>()
-    };
-    SPEECH.iter().flat_map(listed).collect()
-}
-
-fn blinks(stream: &mut Stream, seconds: f32) -> Vec<f32> {
-    let mut blinks = Vec::new();
-    let mut start = stream.uniform(0.5, 3.0);
-    while start < seconds {
-        blinks.push(start);
-        start += stream.uniform(1.6, 5.5);
-    }
-    blinks
-}
-
-fn fixations(stream: &mut Stream, seconds: f32) -> Vec<Fixation> {
-    let mut fixations = Vec::new();
-    let mut start = stream.uniform(0.3, 1.2);
-    while start < seconds {
-        // Every third fixation returns to the camera.
-        let away = if stream.unit() < 0.35 { 0.0 } else { 1.0 };
-        let gaze = [stream.uniform(-0.32, 0.32) * away, stream.uniform(-0.20, 0.16) * away];
-        fixations.push(Fixation { start, gaze });
-        start += stream.uniform(0.5, 1.8);
-    }
-    fixations
-}
-
 impl Event {
     fn strength(&self, time: f32) -> f32 {
         let end = self.start + self.attack + self.hold + self.release;
         quintic((time - self.start) / self.attack) * quintic((end - time) / self.release)
     }
-}
-
-/// A random curve band-limited by its knots: a uniform cubic B-spline.
-#[derive(Debug, Clone)]
-struct Curve {
-    knot_seconds: f32,
-    knots: Vec<f32>,
-}
-
-impl Curve {
-    fn random(stream: &mut Stream, seconds: f32, knot_seconds: f32, reach: f32) -> Self {
-        let count = (seconds / knot_seconds).min(1e6) as usize + 4;
-        Self { knot_seconds, knots: (0..count).map(|_| stream.uniform(-reach, reach)).collect() }
-    }
-
-    fn at(&self, time: f32) -> f32 {
-        let position = (time / self.knot_seconds).clamp(0.0, (self.knots.len() - 4) as f32);
-        let first = position as usize;
-        let t = position - first as f32;
-        let basis = [
-            (1.0 - t) * (1.0 - t) * (1.0 - t),
-            3.0 * t * t * t - 6.0 * t * t + 4.0,
-            3.0 * (t + t * t - t * t * t) + 1.0,
-            t * t * t,
-        ];
-        self.knots[first..].iter().zip(basis).map(|(knot, weight)| knot * weight / 6.0).sum()
-    }
-}
-
-/// 0 up to 0, 1 from 1 on, and between them a step with continuous velocity and acceleration.
-pub(crate) fn quintic(t: f32) -> f32 {
-    let t = t.clamp(0.0, 1.0);
-    t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
 }

@@ -1,0 +1,107 @@
+//! The regions of a face whose motion is followed.
+
+use srflow_face::{FacePoints, FrameCrop};
+
+/// Their names. `left` is the left of the picture.
+pub const REGIONS: [&str; 16] = [
+    "inner-brow-left",
+    "inner-brow-right",
+    "outer-brow-left",
+    "outer-brow-right",
+    "glabella",
+    "lids-left",
+    "lids-right",
+    "cheek-left",
+    "cheek-right",
+    "nostril-left",
+    "nostril-right",
+    "mouth-corner-left",
+    "mouth-corner-right",
+    "upper-lip",
+    "lower-lip",
+    "chin",
+];
+
+/// Those that move in a blink.
+pub(super) const LIDS: [usize; 2] = [5, 6];
+
+/// Their middles on an average face in an upright crop ([`FrameCrop::upright`]), as shares of its side.
+const MIDDLES: [[f64; 2]; 16] = [
+    [0.397, 0.196],
+    [0.602, 0.196],
+    [0.212, 0.187],
+    [0.788, 0.187],
+    [0.5, 0.23],
+    [0.3, 0.357],
+    [0.7, 0.357],
+    [0.285, 0.591],
+    [0.715, 0.591],
+    [0.42, 0.644],
+    [0.579, 0.644],
+    [0.333, 0.805],
+    [0.666, 0.805],
+    [0.5, 0.772],
+    [0.5, 0.879],
+    [0.5, 0.957],
+];
+
+/// Half the side of a region, as a share of the distance of the outer corners of the eyes, and that distance on an average face.
+const HALF: f64 = 0.1;
+const CORNERS: f64 = 0.586;
+
+/// Columns and rows of each region in a crop, the second of each not included.
+pub type RegionBoxes = [[[usize; 2]; 2]; 16];
+
+/// The regions in a crop of this width and height: about dlib's 68 points where there are any, else where an average face has them.
+pub fn regions(points: Option<&FacePoints>, crop: &FrameCrop, size: (usize, usize)) -> RegionBoxes {
+    let of_average =
+        || (MIDDLES.map(|[x, y]| [x * size.0 as f64, y * size.1 as f64]), CORNERS * size.0 as f64);
+    let (middles, corners) = match points.and_then(|points| points.dlib.as_deref()) {
+        Some(dlib) => about_points(&dlib.map(|point| crop.point(point))),
+        None => of_average(),
+    };
+    let half = (HALF * corners).max(0.5);
+    middles.map(|middle| {
+        std::array::from_fn(|axis| {
+            let len = [size.0, size.1][axis];
+            // The casts clamp coordinates before the crop to its border.
+            let first = ((middle[axis] - half).round() as usize).min(len.saturating_sub(1));
+            [first, ((middle[axis] + half).round() as usize + 1).clamp(first + 1, len.max(first + 1))]
+        })
+    })
+}
+
+/// The middles of the regions, and the distance of the outer corners of the eyes.
+fn about_points(points: &[[f64; 2]; 68]) -> ([[f64; 2]; 16], f64) {
+    let mean = |weights: &[(usize, f64)]| {
+        [0, 1].map(|axis| weights.iter().map(|(index, weight)| points[*index][axis] * weight).sum::<f64>())
+    };
+    let even = |indices: &[usize]| {
+        let weights: Vec<(usize, f64)> =
+            indices.iter().map(|index| (*index, 1.0 / indices.len() as f64)).collect();
+        mean(&weights)
+    };
+    let [left, right] = [points[36], points[45]];
+    let corners = libm::hypot(right[0] - left[0], right[1] - left[1]);
+    // The points of the brows lie on their lower edge.
+    let above = |[x, y]: [f64; 2]| [x, y - 0.05 * corners];
+    let middles = [
+        above(even(&[20, 21])),
+        above(even(&[22, 23])),
+        above(even(&[17, 18])),
+        above(even(&[25, 26])),
+        even(&[21, 22]),
+        even(&[37, 38, 40, 41]),
+        even(&[43, 44, 46, 47]),
+        mean(&[(41, 0.25), (36, 0.25), (48, 0.5)]),
+        mean(&[(46, 0.25), (45, 0.25), (54, 0.5)]),
+        points[31],
+        points[35],
+        points[48],
+        points[54],
+        points[51],
+        points[57],
+        mean(&[(57, 0.65), (8, 0.35)]),
+    ];
+    (middles, corners)
+}

@@ -57,6 +57,33 @@ fn dropped(labels: &Labels, reason: DropReason) -> usize {
 }
 
 #[test]
+fn the_classes_of_megc2019_give_its_list() {
+    let Some(dir) = annotations() else { return };
+    // Subjects are `sub01`, `6` or `s01` in the list; SMIC's clips `s01_ne_01` or `s1_ne_01`.
+    let key = |data: &str, subject: &str, clip: &str, class: usize| {
+        let subject: u32 = subject.trim_start_matches(|c: char| !c.is_ascii_digit()).parse().unwrap();
+        (data.to_owned(), subject, clip.trim().replacen("s0", "s", 1), class)
+    };
+    let list = fs::read_to_string(dir.join("combined_3_class_gt.csv")).unwrap();
+    let of_line = |line: &str| {
+        let [data, subject, clip, label] = line.split(',').collect::<Vec<_>>()[..] else { panic!("{line}") };
+        key(data, subject, clip, label.parse().unwrap())
+    };
+    let listed: BTreeSet<_> = list.lines().skip(1).map(of_line).collect();
+    assert_eq!(listed.len(), 442);
+    let classes = Classes::open("megc2019").unwrap();
+    let mut found = BTreeSet::new();
+    for kind in ["samm", "casme2", "smic"] {
+        let source = ClipSource { classes: classes.clone(), ..at(kind, &dir) };
+        let labels = Labels::read(&source).unwrap();
+        let counts = count_classes(&classes, &labels.annotations);
+        assert_eq!(published_counts(&classes, kind).map(Vec::from), Some(counts), "{kind}");
+        found.extend(labels.annotations.iter().map(|a| key(kind, &a.subject, &a.clip, a.class)));
+    }
+    assert_eq!(found, listed);
+}
+
+#[test]
 fn samm_gives_the_published_counts() {
     let Some(dir) = annotations() else { return };
     let labels = read("samm", &dir);

@@ -1341,12 +1341,60 @@ def mer_synth(
     return _run("mer synth", settings)
 
 
+def mer_synth_long(
+    out: Path,
+    *,
+    subjects: int = 4,
+    minutes: float = 1,
+    side: int = 192,
+    fps: float = 30,
+    intensity: float = 1,
+    noise: float = 1,
+    drift: float = 1,
+    lighting: float = 1,
+    blinks: float = 1,
+    glances: float = 1,
+    speech: float = 1,
+    seed: int = 1,
+    shard: str = "1/1",
+    stop_after: int | None = None,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Render long videos with micro- and macro-expressions, for spotting.
+
+    Args:
+        out: Folder of the videos.
+        subjects: Number of videos, each of another subject.
+        minutes: Length of each video.
+        side: Width and height of the frames in pixels.
+        fps: Frames per second.
+        intensity: Strength of the micro-expressions; 1 is 12 to 40 % of an action unit's full strength.
+        noise: Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness.
+        drift: Head motion; 1 is up to 1.5 degrees and 2 mm to either side, within seconds.
+        lighting: Illumination changes; 1 is slow changes of up to 2 %, with a gradient over the face, and 0.3 % flicker at 100 Hz.
+        blinks: Blinks; 1 closes the lids every 1.6 to 5.5 seconds.
+        glances: Glances; 1 turns the eyes by up to 18 degrees.
+        speech: Speech; 1 is a short sentence now and then.
+        seed: Random seed.
+        shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
+        stop_after: Stop after N pairs, clips or timesteps; the same command continues.
+        force: Delete the dataset in the folder and start over.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("mer synth-long", settings)
+
+
 def mer_apex(
     datasets: str | Sequence[str],
     out: Path | None = None,
     *,
-    rule: str = "strain",
+    rule: str = "course",
     method: str = "srflow",
+    resize: str | None = None,
+    head_motion: str = "subtract",
+    curves: Path | None = None,
     force: bool = False,
     annotations: str | Sequence[str] | None = None,
     apex_list: Path | None = None,
@@ -1392,9 +1440,12 @@ def mer_apex(
     Args:
         datasets: Datasets.
         out: Write the apex frames as a CSV list.
-        rule: Rule: ratio or strain.
-        method: For the rule `strain`. How to estimate the flow: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; a network followed by its weights, as in raft=FILE; srflow has its own.
-        force: Overwrite an existing list.
+        rule: Rule: course, strain or ratio.
+        method: For the rules `course` and `strain`. How to estimate the flow: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; a network followed by its weights, as in raft=FILE; srflow has its own.
+        resize: Resize to 112x112: the frames before estimating the flow, or the flow after [default: after].
+        head_motion: The head's motion in the flow: keep or subtract.
+        curves: Write the rule's curve of every frame as CSV.
+        force: Overwrite existing files.
         annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
         apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
         classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
@@ -1439,6 +1490,127 @@ def mer_apex(
         settings[name] = _listed(settings[name])
     settings["lambda"] = settings.pop("lambda_")
     return _run("mer apex", settings)
+
+
+def mer_spot(
+    videos: Path | Sequence[Path],
+    out: Path,
+    *,
+    fps: float | None = None,
+    method: str = "srflow",
+    head_motion: str = "subtract",
+    micro_score: float = 3.2,
+    macro_score: float = 20,
+    force: bool = False,
+    face: str | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
+    face_box: str | None = None,
+    landmarks: Path | None = None,
+    refine: bool = False,
+    weights: str | None = None,
+    iters: str | None = None,
+    set: dict[str, Any] | None = None,
+    precision: str = "f32",
+    device: str = "cpu",
+    tile: str | None = None,
+    tile_overlap: int = 128,
+    scale: float | None = None,
+    pyr_scale: float | None = None,
+    levels: int | None = None,
+    winsize: int | None = None,
+    iterations: int | None = None,
+    poly_n: int | None = None,
+    poly_sigma: float | None = None,
+    farneback_gaussian: bool = False,
+    tau: float | None = None,
+    lambda_: float | None = None,
+    theta: float | None = None,
+    nscales: int | None = None,
+    warps: int | None = None,
+    epsilon: float | None = None,
+    inner_iterations: int | None = None,
+    outer_iterations: int | None = None,
+    scale_step: float | None = None,
+    gamma: float | None = None,
+    median_filtering: int | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Spot micro- and macro-expressions in long videos.
+
+    Args:
+        videos: Videos, or folders of frames.
+        out: Folder of the results.
+        fps: Frames per second [default: the video's].
+        method: How to estimate the flow: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; a network followed by its weights, as in raft=FILE; srflow has its own.
+        head_motion: The head's motion in the flow: keep or subtract.
+        micro_score: Spot micro-expressions that stand out from noise and surroundings by this factor.
+        macro_score: Spot macro-expressions that stand out from noise by this factor.
+        force: Start over where the folder has results of other settings.
+        face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
+        face_index: Face to use if there are several; 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
+        landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
+        refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        set: Network setting that the weights do not store; `srflow models` lists them.
+        precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
+        device: Device to compute on; this build has cpu.
+        tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
+        scale: Resize the frames by this factor before estimation, and the flow back to full size.
+        pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
+        levels: Pyramid levels in addition to the full size [default: 5].
+        winsize: Side of the averaging window in pixels [default: 13].
+        iterations: Iterations at each level [default: 10].
+        poly_n: Radius of the polynomial fit in pixels [default: 5].
+        poly_sigma: Standard deviation of the fit's weight in pixels [default: 1.1].
+        farneback_gaussian: Use a Gaussian averaging window in place of a box.
+        tau: Time step of the dual update [default: 0.25].
+        lambda_: Weight of the data term; smaller is smoother [default: 0.15].
+        theta: Tightness of the coupling of data term and smoothness [default: 0.3].
+        nscales: Number of scales [default: 5].
+        warps: Warps at each scale [default: 5].
+        epsilon: Stop iterating when the flow changes by less than this, in pixels [default: 0.01].
+        inner_iterations: Iterations between two median filters [default: 30].
+        outer_iterations: Median filters after each warp [default: 10].
+        scale_step: Size of a scale relative to the next finer one [default: 0.8].
+        gamma: Weight of an additional brightness change; 0 disables it [default: 0].
+        median_filtering: Side of the median filter, 3 or 5 pixels, or 1 for none [default: 5].
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("videos",):
+        settings[name] = _listed(settings[name])
+    settings["lambda"] = settings.pop("lambda_")
+    return _run("mer spot", settings)
+
+
+def mer_spot_score(
+    predictions: Path | Sequence[Path],
+    truth: str | Sequence[str],
+    *,
+    rule: str = "strict",
+    types: str = "given",
+    fps: float | None = None,
+    callback: Callback | None = None,
+) -> Report:
+    """Score spotted intervals against the truth, as the Micro-Expression Grand Challenges do.
+
+    Args:
+        predictions: Spotted intervals: CSV files with the columns video, onset, offset, type.
+        truth: True intervals: CSV files, or annotations of datasets (see below).
+        rule: Rule of counting (see below).
+        types: Type of a prediction: given in the file, by its duration (at most 0.5 s is micro), or also by its rise (at most 8/30 s to the apex).
+        fps: Frames per second, for `--types` [default: the dataset's].
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("predictions", "truth"):
+        settings[name] = _listed(settings[name])
+    return _run("mer spot-score", settings)
 
 
 def mer_strain(
@@ -1597,7 +1769,7 @@ def mer_features(
         classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
-        apex: How to spot the apex of clips without one: ratio or strain.
+        apex: How to spot the apex of clips without one: course, strain or ratio.
         strain: Formula of the optical strain: literature or off-tanet.
         protocol: Protocol: srflow (what recognizes most) or paper (the SRFlow paper's) [default: srflow; paper for --rows paper-tables-7-to-10].
         resize: Resize to 112x112: the frames before estimating the flow, or the flow after [default: the protocol's].
@@ -1726,7 +1898,7 @@ def mer_run(
         classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
-        apex: How to spot the apex of clips without one: ratio or strain.
+        apex: How to spot the apex of clips without one: course, strain or ratio.
         strain: Formula of the optical strain: literature or off-tanet.
         protocol: Protocol: srflow (what recognizes most) or paper (the SRFlow paper's) [default: srflow; paper for --rows paper-tables-7-to-10].
         resize: Resize to 112x112: the frames before estimating the flow, or the flow after [default: the protocol's].
@@ -1794,4 +1966,4 @@ def mer_tables(
     return _run("mer tables", settings)
 
 
-__all__ = ["ablation", "avatar_capture", "avatar_eval", "avatar_export", "avatar_fit", "avatar_import", "avatar_mesh", "avatar_train", "avatar_units", "check", "convert", "demo", "device", "device_network", "device_rasterizer", "eval", "figure", "flow", "mer_apex", "mer_data", "mer_features", "mer_run", "mer_strain", "mer_synth", "mer_tables", "merge", "metrics", "models", "models_export", "models_inspect", "pack", "rasterize", "render", "shapes", "train", "view"]
+__all__ = ["ablation", "avatar_capture", "avatar_eval", "avatar_export", "avatar_fit", "avatar_import", "avatar_mesh", "avatar_train", "avatar_units", "check", "convert", "demo", "device", "device_network", "device_rasterizer", "eval", "figure", "flow", "mer_apex", "mer_data", "mer_features", "mer_run", "mer_spot", "mer_spot_score", "mer_strain", "mer_synth", "mer_synth_long", "mer_tables", "merge", "metrics", "models", "models_export", "models_inspect", "pack", "rasterize", "render", "shapes", "train", "view"]

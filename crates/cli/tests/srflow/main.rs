@@ -40,6 +40,7 @@ mod reference;
 mod render_check;
 mod shapes;
 mod splats;
+mod spotting;
 mod train;
 mod tree;
 mod videos;

@@ -15,6 +15,7 @@ pub(super) const KIND: ClipKind = ClipKind {
     releases: &["raw", "cropped"],
     about: "CASME II, the raw or the cropped release (default: the one that is found)",
     published: Some([88, 32, 25]),
+    megc2019: Some([88, 32, 25]),
     labels: |source| coded::read(&CODING, source),
     folders,
 };

@@ -13,12 +13,13 @@ use srflow_files::{FileKind, read_text};
 use super::MicroExpressionError;
 
 /// Built-in class sets: name, description, file.
-pub const CLASS_SETS: [(&str, &str, &str); 6] = [
+pub const CLASS_SETS: [(&str, &str, &str); 7] = [
     (
         "3",
         "negative, positive, surprise, as in MEGC 2019 and the SRFlow paper",
         include_str!("classes/3.toml"),
     ),
+    ("megc2019", "the same, with MEGC 2019's 442 clips: seven more of SMIC", include_str!("classes/3.toml")),
     (
         "casme2-5",
         "CASME II's happiness, disgust, repression, surprise, others",
@@ -171,6 +172,11 @@ impl Classes {
     /// Whether these are negative, positive and surprise, whose published counts are known.
     pub fn are_default(&self) -> bool {
         self.title == CLASS_SETS[0].0
+    }
+
+    /// Whether these are those of MEGC 2019's list of clips.
+    pub fn are_of_megc2019(&self) -> bool {
+        self.title == CLASS_SETS[1].0
     }
 
     /// Whether any class uses published objective classes.

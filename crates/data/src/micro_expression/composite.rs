@@ -16,9 +16,13 @@ pub fn count_classes<'a>(
     counts
 }
 
-/// The paper's counts of negative, positive and surprise clips in a dataset; `None` for other datasets and classes.
+/// The paper's counts of negative, positive and surprise clips in a dataset, or those of MEGC 2019's list; `None` for other datasets and
+/// classes.
 pub fn published_counts(classes: &Classes, dataset: &str) -> Option<[usize; 3]> {
     let kind = CLIP_KINDS.iter().find(|kind| kind.name == dataset)?;
+    if classes.are_of_megc2019() {
+        return kind.megc2019;
+    }
     kind.published.filter(|_| classes.are_default())
 }
 

@@ -19,6 +19,7 @@ pub(super) const KIND: ClipKind = ClipKind {
     releases: &[],
     about: "your own clips, listed in a clips.csv",
     published: None,
+    megc2019: None,
     labels: read,
     folders,
 };

@@ -15,6 +15,7 @@ pub(super) const KIND: ClipKind = ClipKind {
     releases: &[],
     about: "SAMM",
     published: Some([92, 26, 15]),
+    megc2019: Some([92, 26, 15]),
     labels: |source| coded::read(&CODING, source),
     folders,
 };

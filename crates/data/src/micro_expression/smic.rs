@@ -24,6 +24,7 @@ pub(super) const KIND: ClipKind = ClipKind {
     releases: &[],
     about: "SMIC-HS, extended or short",
     published: Some([65, 51, 41]),
+    megc2019: Some([70, 51, 43]),
     labels: read,
     folders,
 };
@@ -128,7 +129,8 @@ impl Rows {
 
     /// The class of a clip; one that has none, or is left out of the published list, is dropped.
     fn class(&mut self, source: &ClipSource, key: Key, clip: &str, label: &str) -> Option<usize> {
-        let class = match NOT_IN_APEX_LIST.contains(&key) {
+        let left_out = !source.classes.are_of_megc2019() && NOT_IN_APEX_LIST.contains(&key);
+        let class = match left_out {
             true => Err(DropReason::NotInApexList),
             false => key.class(source).ok_or(DropReason::Label),
         };

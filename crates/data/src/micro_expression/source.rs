@@ -16,6 +16,8 @@ pub struct ClipKind {
     pub about: &'static str,
     /// The paper's counts of negative, positive and surprise clips (its table of the micro-expression datasets).
     pub published: Option<[usize; 3]>,
+    /// The counts of MEGC 2019's list.
+    pub megc2019: Option<[usize; 3]>,
     pub(super) labels: fn(&ClipSource) -> Result<Labels, MicroExpressionError>,
     pub(super) folders: fn(&ClipSource, &[Annotation]) -> Result<ClipFolders, MicroExpressionError>,
 }

@@ -47,6 +47,9 @@ const LEAST_NOISE: f64 = 1.7e-4;
 const LEAST_MICRO: f64 = 6.7e-4;
 const LEAST_MACRO: f64 = 8.4e-3;
 
+/// What moves further in so short a time is a hand before the face, or the head.
+const LARGEST_MICRO: f64 = 0.04;
+
 /// How much the surroundings of a short bump count, and which they are: within the first, but not within half the bump and the second.
 const SURROUNDINGS: f64 = 2.0;
 const SURROUNDING_SECONDS: f64 = 2.0;
@@ -173,7 +176,8 @@ fn bumps(motion: &[RegionMotion], fps: f64, side: f64, kind: ExpressionKind, sec
         let height = heights[at][region];
         let lids = LIDS.iter().map(|lid| heights[at][*lid]).fold(0.0, f64::max);
         let hidden = kind == ExpressionKind::Micro && height <= LEAST_OF_LIDS * lids;
-        if height > least && !hidden {
+        let too_far = kind == ExpressionKind::Micro && height > LARGEST_MICRO * side;
+        if height > least && !hidden && !too_far {
             found.push(Bump { kind, seconds, at, region, height, lids, score });
         }
     }

@@ -108,11 +108,8 @@ impl<'a> SignalRecorder<'a> {
         );
         let (old, new) = (old?, new?);
         let position = new.unwrap_or(Position::ZERO);
-        let segment = self.current.get_or_insert_with(|| Segment {
-            reference: frame,
-            frames: 0,
-            offset: Position::ZERO,
-        });
+        let segment =
+            self.current.get_or_insert(Segment { reference: frame, frames: 0, offset: Position::ZERO });
         segment.frames += 1;
         match (old, &self.before) {
             (Some(old), Some(before)) => {

@@ -24,19 +24,13 @@ use srflow_data::micro_expression::intervals::{ExpressionKind, write_intervals};
 use srflow_files::write_atomically;
 
 pub use settings::LongSettings;
-pub use work::PIECE;
 pub(crate) use work::Videos;
+pub use work::{DISTURBANCES_NAME, EVENTS_NAME, PIECE};
 
 use crate::RenderError;
 use crate::job::{self, Request};
 use crate::synth::{LANDMARKS_NAME, write_landmarks};
 use timeline::Video;
-
-/// Name of the file with every expression.
-pub const EVENTS_NAME: &str = "events.csv";
-
-/// Name of the file with what else happens.
-pub const DISTURBANCES_NAME: &str = "disturbances.csv";
 
 /// The result of [`record`].
 #[derive(Debug, Clone, PartialEq, Serialize)]

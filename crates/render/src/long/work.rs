@@ -9,7 +9,6 @@ use srflow_splat::{Frame, Gaussians, Options, Outputs, RasterizeError, Rasterize
 
 use super::settings::LongSettings;
 use super::timeline::Video;
-use super::{DISTURBANCES_NAME, EVENTS_NAME};
 use crate::RenderError;
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::record::{json_text, read_record};
@@ -18,6 +17,12 @@ use crate::synth::portrait::BACKDROP;
 
 /// Name of the file with the arguments.
 const SETTINGS_NAME: &str = "long.json";
+
+/// Name of the file with every expression.
+pub const EVENTS_NAME: &str = "events.csv";
+
+/// Name of the file with what else happens.
+pub const DISTURBANCES_NAME: &str = "disturbances.csv";
 
 /// Frames that are made together. A video has a whole number of pieces.
 pub const PIECE: u32 = 30;

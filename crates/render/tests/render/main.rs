@@ -5,7 +5,6 @@ mod check;
 mod device;
 mod label_error;
 mod long;
-mod long;
 mod made;
 mod recording;
 mod regions;

@@ -237,6 +237,7 @@ impl SpotJob {
         }
         let Followed { recorder, face } = followed.context("the video has no frames")?;
         let signals = recorder.finish();
+        warn_of_head_motion(&video.name, &signals, &face);
         let Self { micro_score, macro_score, .. } = *self;
         let events = spot_events(&signals, fps, face.side, SpottingSettings { micro_score, macro_score });
         let first = video.source.first_number();
@@ -276,6 +277,21 @@ impl SpotJob {
 struct Followed<'a> {
     recorder: SignalRecorder<'a>,
     face: Face,
+}
+
+/// How far a face may move from its place in the first frame, as a share of the crop's side.
+const FARTHEST: f64 = 0.1;
+
+fn warn_of_head_motion(video: &str, signals: &Signals, face: &Face) {
+    let moved = signals.head.iter().map(|[x, y]| (x * x + y * y).sqrt()).fold(0.0, f64::max);
+    if moved > FARTHEST * face.side as f64 {
+        log::warn!(
+            "{video}: the face moves by {:.0} px, {:.0} % of its crop: regions are no longer where they were in the first frame, so \
+             check what is spotted, or cut the video",
+            moved * face.shrunk,
+            100.0 * moved / face.side as f64
+        );
+    }
 }
 
 /// How the face is cut out of every frame.

@@ -62,7 +62,12 @@ const fn faces_by(models: &'static str) -> [&'static str; 10] {
 }
 pub(super) const FACES_OF_FILE: &[&str] = &faces_by("FILE");
 pub(super) const FACES_OF_FOLDER: &[&str] = &faces_by("DIR");
-pub(super) const CLIPS: &str =
+pub(super) const INTERVALS: &str = "video,onset,apex,offset,type\na,3,5,9,micro\nb,-2,,40,mae\n";
+const SAMM_LONG: &str =
+    "Subject,Filename,Onset,Apex,Offset,Type,Action Units\n6,a_1,566.4,-1,743.2,Macro,4\n";
+const CASME3: &str =
+    "Subject,Filename,Onset,Apex,Offset,AU,Expression type,Objective class\na,B,3,5,9,4,Micro-expression,I\n";
+const CLIPS: &str =
     "clip,subject,onset,apex,offset,class,label\nc1,s1,1,3,5,negative,fear\nc2,s2,2,,9,surprise,x\n";
 
 pub(super) fn samples(folder: &Path) -> Vec<Sample> {
@@ -158,6 +163,13 @@ pub(super) fn samples(folder: &Path) -> Vec<Sample> {
 
     let clips = &["mer", "data", "--labels-only", "--clips", "clips:FILE"];
     samples.push(Sample { name: "clips", bytes: CLIPS.into(), file: "clips.csv", arguments: clips });
+    fs::write(folder.join("intervals.csv"), INTERVALS).unwrap();
+    let list = &["mer", "spot-score", "DIR/intervals.csv", "--truth", "csv:FILE"];
+    samples.push(Sample { name: "intervals", bytes: INTERVALS.into(), file: "truth.csv", arguments: list });
+    let samm = &["mer", "spot-score", "DIR/intervals.csv", "--truth", "samm-long:FILE"];
+    samples.push(Sample { name: "samm-long", bytes: SAMM_LONG.into(), file: "samm.csv", arguments: samm });
+    let casme3 = &["mer", "spot-score", "DIR/intervals.csv", "--truth", "casme3:FILE"];
+    samples.push(Sample { name: "casme3", bytes: CASME3.into(), file: "casme3.csv", arguments: casme3 });
     fs::write(folder.join("faces.csv"), FACES).unwrap();
     let features = &[
         "mer",

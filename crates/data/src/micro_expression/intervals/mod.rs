@@ -3,6 +3,7 @@
 mod casme3;
 mod casme_squared;
 mod csv_file;
+mod kind;
 mod samm_long;
 mod table;
 
@@ -11,7 +12,8 @@ use srflow_core::{named, serialize_as_text};
 use srflow_files::whole_number;
 
 pub use csv_file::{EVENT_COLUMNS, write_intervals};
-pub use table::{INTERVAL_KINDS, IntervalKind, IntervalSource};
+pub use kind::IntervalKind;
+pub use table::{INTERVAL_KINDS, IntervalSource};
 
 /// Micro-expressions are involuntary and short.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

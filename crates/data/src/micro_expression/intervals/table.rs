@@ -1,21 +1,12 @@
 //! The table of kinds of files.
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 
+use super::kind::IntervalKind;
 use super::{Intervals, casme_squared, casme3, csv_file, samm_long};
 use crate::micro_expression::MicroExpressionError;
-
-/// A kind of file with intervals.
-#[derive(Debug)]
-pub struct IntervalKind {
-    /// The name in `KIND:FILE`.
-    pub name: &'static str,
-    /// Title in the help.
-    pub about: &'static str,
-    pub(super) read: fn(&Path) -> Result<Intervals, MicroExpressionError>,
-}
 
 pub static INTERVAL_KINDS: [IntervalKind; 4] =
     [csv_file::KIND, casme_squared::KIND, samm_long::KIND, casme3::KIND];

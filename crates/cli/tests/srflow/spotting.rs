@@ -1,0 +1,91 @@
+//! `srflow mer synth-long`, `spot` and `spot-score`, starting from an empty folder.
+
+use std::fs;
+use std::path::Path;
+use std::process::Output;
+use std::sync::LazyLock;
+
+use crate::{fails, refuses, succeeds};
+
+fn srflow(folder: &Path, arguments: &[&str]) -> Output {
+    crate::srflow().current_dir(folder).arg("mer").args(arguments).output().unwrap()
+}
+
+/// One small, calm video with strong expressions, rendered once.
+static SET: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    let calm = ["--blinks", "0", "--glances", "0", "--speech", "0", "--drift", "0.2", "--intensity", "2"];
+    let size = ["synth-long", "--out", "set", "--subjects", "1", "--minutes", "0.3", "--side", "128"];
+    let text = succeeds(&srflow(folder.path(), &[&size[..], &calm].concat()));
+    assert!(text.contains("540 of 540 frames") && text.contains("1 videos with"), "{text}");
+    folder
+});
+
+const SPOT: [&str; 11] = [
+    "spot",
+    "set/s01",
+    "--fps",
+    "30",
+    "--landmarks",
+    "set/landmarks.csv",
+    "--method",
+    "farneback",
+    "--out",
+    "spotted",
+    "--json",
+];
+
+#[test]
+fn expressions_of_a_rendered_video_are_spotted() {
+    let set = SET.path();
+    let report = crate::json(&srflow(set, &SPOT));
+    let events = report["videos"][0]["events"].as_array().unwrap();
+    assert!(!events.is_empty(), "{report}");
+    for event in events {
+        let frame = |name: &str| event[name].as_i64().unwrap();
+        assert!(1 <= frame("onset") && frame("onset") <= frame("apex") && frame("apex") <= frame("offset"));
+        let seconds = (frame("onset") - 1) as f64 / 30.0;
+        assert!((event["onset_seconds"].as_f64().unwrap() - seconds).abs() < 1e-9, "{event}");
+    }
+    let scores = crate::json(&srflow(
+        set,
+        &["spot-score", "spotted/events.csv", "--truth", "set/events.csv", "--json"],
+    ));
+    assert!(scores["micro"]["recall"].as_f64().unwrap() >= 0.5, "{scores}");
+    let text = succeeds(&srflow(set, &["spot-score", "spotted/megc.csv", "--truth", "set/events.csv"]));
+    assert!(text.contains("1 videos, rule strict") && text.contains("overall"), "{text}");
+
+    let signals = fs::read_to_string(set.join("spotted/s01.frames.csv")).unwrap();
+    assert!(signals.starts_with("frame,timestamp,head_x,head_y,inner-brow-left_x"), "{}", &signals[..80]);
+    assert_eq!(signals.lines().count(), 541);
+    assert!(fs::read_to_string(set.join("spotted/s01.eaf")).unwrap().contains("TIER_ID=\"ME\""));
+
+    // A finished video is not spotted again; other settings need another folder.
+    let before = fs::metadata(set.join("spotted/s01.json")).unwrap().modified().unwrap();
+    assert_eq!(crate::json(&srflow(set, &SPOT)), report);
+    assert_eq!(fs::metadata(set.join("spotted/s01.json")).unwrap().modified().unwrap(), before);
+    let other = [&SPOT[..], &["--micro-score", "9"]].concat();
+    fails(&srflow(set, &other), 1);
+    fs::write(set.join("spotted/s01.json"), "{").unwrap();
+    let broken = fails(&srflow(set, &SPOT), 1);
+    assert!(broken.contains("s01.json") && broken.contains("delete it"), "{broken}");
+}
+
+#[test]
+fn wrong_usage_is_refused() {
+    let set = SET.path();
+    let spot = |arguments: &[&str]| srflow(set, &[&["spot", "--out", "other"], arguments].concat());
+    refuses(&spot(&["set/s01"]), 2, &["set/s01", "--fps"]);
+    refuses(&spot(&["set/s01", "--fps", "3"]), 2, &["10 to 2000, found 3"]);
+    refuses(&spot(&["nowhere"]), 2, &["nowhere", "no such file"]);
+    refuses(&spot(&["set/s01", "set/s01", "--fps", "30"]), 2, &["another video is called `s01`"]);
+    let score = |arguments: &[&str]| srflow(set, &[&["spot-score"], arguments].concat());
+    refuses(&score(&["set/events.csv", "--truth", "set/landmarks.csv"]), 1, &["landmarks.csv", "onset"]);
+    let other = ["set/events.csv", "--truth", "set/events.csv", "set/events.csv"];
+    refuses(&score(&other), 2, &["a video s01, too"]);
+    let types = ["set/events.csv", "--truth", "set/events.csv", "--types", "duration"];
+    refuses(&score(&types), 2, &["--types duration needs --fps"]);
+    fs::write(set.join("stranger.csv"), "video,onset,offset,type\nx,1,2,me\n").unwrap();
+    let stranger = ["stranger.csv", "--truth", "set/events.csv"];
+    refuses(&score(&stranger), 1, &["call them alike", "`s01`"]);
+}

@@ -76,11 +76,40 @@ fn the_classes_of_megc2019_give_its_list() {
     for kind in ["samm", "casme2", "smic"] {
         let source = ClipSource { classes: classes.clone(), ..at(kind, &dir) };
         let labels = Labels::read(&source).unwrap();
-        let counts = count_classes(&classes, &labels.annotations);
-        assert_eq!(published_counts(&classes, kind).map(Vec::from), Some(counts), "{kind}");
         found.extend(labels.annotations.iter().map(|a| key(kind, &a.subject, &a.clip, a.class)));
     }
-    assert_eq!(found, listed);
+    // The spreadsheet of SMIC that is published with the apex lists lacks their seven clips.
+    let absent: Vec<_> = listed
+        .difference(&found)
+        .map(|(data, _, clip, class)| (data.as_str(), clip.as_str(), *class))
+        .collect();
+    let seven = [
+        ("smic", "s1_ne_02", 0),
+        ("smic", "s2_sur_05", 2),
+        ("smic", "s3_ne_03", 0),
+        ("smic", "s3_ne_20", 0),
+        ("smic", "s4_ne_05", 0),
+        ("smic", "s4_ne_06", 0),
+        ("smic", "s9_sur_02", 2),
+    ];
+    assert_eq!(absent, seven);
+    assert!(found.is_subset(&listed));
+    let counts =
+        |class: usize| listed.iter().filter(|(data, _, _, found)| data == "smic" && *found == class).count();
+    assert_eq!(published_counts(&classes, "smic"), Some([counts(0), counts(1), counts(2)]));
+}
+
+#[test]
+fn the_clips_that_apex_lists_lack_belong_to_megc2019() {
+    let folder = tempfile::tempdir().unwrap();
+    let rows = "Subject,Filename,OnsetF,OffsetF,Onset2F,Emotion\ns1,s1_ne_02,3,9,3,negative\ns1,s1_ne_03,3,9,3,negative\n";
+    fs::write(folder.path().join("annotation.csv"), rows).unwrap();
+    let kept = |classes: Classes| {
+        let source = ClipSource { classes, ..at("smic", folder.path()) };
+        Labels::read(&source).unwrap().annotations.len()
+    };
+    assert_eq!(kept(Classes::default()), 1);
+    assert_eq!(kept(Classes::open("megc2019").unwrap()), 2);
 }
 
 #[test]

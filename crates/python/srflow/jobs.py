@@ -1497,7 +1497,7 @@ def mer_spot(
     out: Path,
     *,
     fps: float | None = None,
-    method: str = "srflow",
+    method: str = "farneback",
     head_motion: str = "subtract",
     micro_score: float = 3.2,
     macro_score: float = 20,

@@ -375,6 +375,6 @@ mod tests {
             assert!(error.contains(expected), "{error}");
         }
         let unknown = Classes::open("casme-5").unwrap_err().to_string();
-        assert!(unknown.contains("casme-5: expected 3, casme2-5, samm-4"), "{unknown}");
+        assert!(unknown.contains("casme-5: expected 3, megc2019, casme2-5, samm-4"), "{unknown}");
     }
 }

@@ -58,8 +58,8 @@ pub struct SpotJob {
     #[serde(default)]
     pub fps: Option<f64>,
     /// How to estimate the flow
-    #[arg(long, value_name = "METHOD", default_value_t, help = methods::Method::help())]
-    #[serde(default)]
+    #[arg(long, value_name = "METHOD", default_value_t = default_method(), help = methods::Method::help())]
+    #[serde(default = "default_method")]
     pub method: MethodSpec,
     /// The head's motion in the flow: keep or subtract
     #[arg(long, value_name = "WHAT", default_value_t)]
@@ -83,6 +83,11 @@ pub struct SpotJob {
     #[command(flatten)]
     #[serde(flatten)]
     pub parameters: MethodParameters,
+}
+
+/// The fastest one: a video has many frames, and their motion is averaged over regions.
+fn default_method() -> MethodSpec {
+    "farneback".parse().expect("the name of a method")
 }
 
 fn default_micro_score() -> f64 {

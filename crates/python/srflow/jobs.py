@@ -657,7 +657,7 @@ def check(
     """Open every file of a dataset and report problems.
 
     Args:
-        dir: Folder of a dataset written by `srflow render`; with --hashes also by `srflow shapes` or `srflow mer synth`.
+        dir: Folder of a dataset written by `srflow render`; with --hashes also by `srflow shapes`, `srflow mer synth` or `synth-long`.
         hashes: Only compare every file with its hash, as `sha256sum -c SHA256SUMS` does.
         rerender: Only render N random pairs again and compare bytes; for datasets that need no other files.
         seed: Seed that draws the pairs of --rerender [default: from the clock].

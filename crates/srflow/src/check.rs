@@ -26,7 +26,7 @@ Opens every file, compares it with dataset.json, and compares dataset.json with 
 back by the flow: on the head, where a pixel is visible in both frames, the difference to frame 1 must be small. With --hashes \
 and --rerender, only those checks are made. The exit code is 1 when there is a problem.")]
 pub struct CheckJob {
-    /// Folder of a dataset written by `srflow render`; with --hashes also by `srflow shapes` or `srflow mer synth`
+    /// Folder of a dataset written by `srflow render`; with --hashes also by `srflow shapes`, `srflow mer synth` or `synth-long`
     #[arg(value_name = "DIR")]
     pub dir: PathBuf,
     /// Only compare every file with its hash, as `sha256sum -c SHA256SUMS` does

@@ -19,7 +19,7 @@ Examples:
   srflow render --out part-2 --shard 2/2
   srflow merge part-1 part-2 --out srflow
 
-Parts are folders of `srflow render`, `srflow shapes` or `srflow mer synth` with the same arguments, seed and version. Files are hard links \
+Parts are folders of `srflow render`, `srflow shapes`, `srflow mer synth` or `srflow mer synth-long` with the same arguments, seed and version. Files are hard links \
 to those of the parts, which takes no space, or copies where the parts are on another disk. What parts alone cannot have is \
 written: statistics, tables, the hashes of all files. Nothing in the parts is changed. Running the same command again continues \
 an interrupted merge.")]

@@ -105,6 +105,9 @@ fn spot(
         Ok::<_, ExtractProblem>(crop.apply(&read_image(path)?)?)
     };
     let onset = frame(annotation.onset)?;
+    let features = |number: u64| -> Result<Features, ExtractProblem> {
+        Ok(features_of_frames(&onset, &frame(number)?, estimator, *settings)?.0)
+    };
     let after = clip.frames.range(annotation.onset.saturating_add(1)..).map(|(number, _)| *number);
     let mut scores = Vec::new();
     match rule {
@@ -124,7 +127,7 @@ fn spot(
         }
         ApexRule::Strain => {
             for number in after {
-                let (features, _) = features_of_frames(&onset, &frame(number)?, estimator, *settings)?;
+                let features = features(number)?;
                 let strain = features.channel(Channel::Strain);
                 let energy = strain.iter().map(|&strain| f64::from(strain) * f64::from(strain));
                 scores.push((number, energy.sum::<f64>() / strain.len() as f64));
@@ -133,8 +136,7 @@ fn spot(
         ApexRule::Course => {
             let mut frames = Vec::new();
             for number in after {
-                let (features, _) = features_of_frames(&onset, &frame(number)?, estimator, *settings)?;
-                frames.push((number - annotation.onset, in_cells(&features)));
+                frames.push((number - annotation.onset, in_cells(&features(number)?)));
             }
             let numbers = frames.iter().map(|(time, _)| annotation.onset + time);
             let course = TimeCourse::fit(&frames, annotation.offset - annotation.onset)

@@ -2,6 +2,8 @@
 
 use std::f64::consts::PI;
 
+use srflow_core::dense::dot;
+
 /// The apex is expected in the middle, with this deviation as a share of the length.
 const EXPECTED_DEVIATION: f64 = 0.1;
 
@@ -43,10 +45,11 @@ impl TimeCourse {
 
         let length = length.max(1);
         let margin = ((length as f64 * NEAREST_END) as u64).max(1);
+        let course_to = |apex: u64| -> Vec<f64> {
+            times.iter().map(|time| strength(*time, apex as f64, length as f64)).collect()
+        };
         let explained_by = |apex: u64| {
-            let course: Vec<f64> =
-                times.iter().map(|time| strength(*time, apex as f64, length as f64)).collect();
-            let course = without_drift(&course);
+            let course = without_drift(&course_to(apex));
             let squared = dot(&course, &course);
             let explained: f64 = columns.iter().map(|column| dot(column, &course).powi(2)).sum();
             if squared > 1e-9 { explained / squared } else { 0.0 }
@@ -69,7 +72,7 @@ impl TimeCourse {
         }
         let apex = best.0;
 
-        let course: Vec<f64> = times.iter().map(|time| strength(*time, apex as f64, length as f64)).collect();
+        let course = course_to(apex);
         let fitted = without_drift(&course);
         let expression: Vec<f64> = columns.iter().map(|column| dot(column, &fitted)).collect();
         let projected = |frame: usize| -> f64 {
@@ -90,8 +93,4 @@ impl TimeCourse {
 fn strength(time: f64, apex: f64, length: f64) -> f64 {
     let share = if time <= apex { time / apex } else { (length - time) / (length - apex).max(1.0) };
     0.5 - 0.5 * (PI * share.clamp(0.0, 1.0)).cos()
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

@@ -23,6 +23,14 @@ pub(crate) fn unit_name(number: u8, side: Side) -> String {
     }
 }
 
+/// Numbers of action units in the notation of datasets: `1+2`.
+pub(crate) fn coded_units(units: &[(u8, Side, f32)]) -> String {
+    let mut numbers: Vec<u8> = units.iter().map(|unit| unit.0).collect();
+    numbers.dedup();
+    let numbers: Vec<String> = numbers.iter().map(u8::to_string).collect();
+    numbers.join("+")
+}
+
 #[cfg(test)]
 mod tests {
     use srflow_core::random::Key;

@@ -114,6 +114,14 @@ impl FaceArgs {
     /// # Errors
     /// When landmarks cannot be read or found.
     pub fn of_first_frame(&self, first: &Image) -> anyhow::Result<FoundFace> {
+        self.of_video("", first)
+    }
+
+    /// As [`of_first_frame`](Self::of_first_frame), for one of several videos, which `landmarks` with a column `video` name.
+    ///
+    /// # Errors
+    /// When landmarks cannot be read or found.
+    pub fn of_video(&self, name: &str, first: &Image) -> anyhow::Result<FoundFace> {
         let upright =
             |points: FacePoints| FoundFace { crop: FrameCrop::upright(&points), points: Some(points) };
         if let Some(finder) = self.finder()? {
@@ -121,7 +129,12 @@ impl FaceArgs {
         }
         Ok(match (&self.landmarks, self.face_box) {
             (Some(path), _) => {
-                let table = read_table(path, &[])?;
+                let table = read_table(path, &[], &[VIDEO])?;
+                let names_videos =
+                    table.rows().iter().any(|row| row.keys.iter().any(|name| !name.is_empty()));
+                if names_videos && !name.is_empty() {
+                    return Ok(upright(table.of(name)?.clone()));
+                }
                 let (row, face) = table.first()?;
                 if let Some(skipped) = table.rows().first().filter(|first| first.line != row.line) {
                     log::warn!(
@@ -138,21 +151,6 @@ impl FaceArgs {
         })
     }
 
-    /// As [`of_first_frame`](Self::of_first_frame), for one of several videos: `landmarks` with a column `video` name them.
-    ///
-    /// # Errors
-    /// When landmarks cannot be read or found.
-    pub fn of_video(&self, video: &str, first: &Image) -> anyhow::Result<FoundFace> {
-        if let Some(path) = &self.landmarks {
-            let table = LandmarkTable::read(path, &[], &[VIDEO])?;
-            if table.rows().iter().any(|row| row.keys.first().is_some_and(|name| !name.is_empty())) {
-                let points = table.of(video)?.clone();
-                return Ok(FoundFace { crop: FrameCrop::upright(&points), points: Some(points) });
-            }
-        }
-        self.of_first_frame(first)
-    }
-
     /// Finds the box about the face in single frames, such as the first ones of pairs.
     ///
     /// # Errors
@@ -160,7 +158,7 @@ impl FaceArgs {
     pub fn boxes(&self) -> anyhow::Result<Option<FaceBoxes>> {
         let source = match (self.finder()?, &self.landmarks, self.face_box) {
             (Some(finder), ..) => BoxSource::Found(finder, self.index()),
-            (None, Some(path), _) => BoxSource::Table(read_table(path, &[PAIR])?),
+            (None, Some(path), _) => BoxSource::Table(read_table(path, &[PAIR], &[])?),
             (None, None, Some(face)) => BoxSource::Fixed(face),
             (None, None, None) => return Ok(None),
         };
@@ -169,8 +167,8 @@ impl FaceArgs {
 }
 
 /// Reads a file of landmarks with these columns beside the points.
-fn read_table(path: &Path, needed: &[&str]) -> anyhow::Result<LandmarkTable> {
-    let table = LandmarkTable::read(path, needed, &[])?;
+fn read_table(path: &Path, needed: &[&str], optional: &[&str]) -> anyhow::Result<LandmarkTable> {
+    let table = LandmarkTable::read(path, needed, optional)?;
     if let Some(note) = table.note() {
         log::warn!("{note}");
     }

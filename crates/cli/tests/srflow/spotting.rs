@@ -61,14 +61,40 @@ fn expressions_of_a_rendered_video_are_spotted() {
     assert!(fs::read_to_string(set.join("spotted/s01.eaf")).unwrap().contains("TIER_ID=\"ME\""));
 
     // A finished video is not spotted again; other settings need another folder.
-    let before = fs::metadata(set.join("spotted/s01.json")).unwrap().modified().unwrap();
+    let before = fs::metadata(set.join("spotted/s01.events.json")).unwrap().modified().unwrap();
     assert_eq!(crate::json(&srflow(set, &SPOT)), report);
-    assert_eq!(fs::metadata(set.join("spotted/s01.json")).unwrap().modified().unwrap(), before);
+    assert_eq!(fs::metadata(set.join("spotted/s01.events.json")).unwrap().modified().unwrap(), before);
     let other = [&SPOT[..], &["--micro-score", "9"]].concat();
     fails(&srflow(set, &other), 1);
-    fs::write(set.join("spotted/s01.json"), "{").unwrap();
+    // Nor are the events of another video taken for those of one of the same name.
+    fs::create_dir_all(set.join("other/s01")).unwrap();
+    for frame in ["000001.png", "000002.png"] {
+        fs::copy(set.join("set/s01").join(frame), set.join("other/s01").join(frame)).unwrap();
+    }
+    let namesake = SPOT.map(|argument| if argument == "set/s01" { "other/s01" } else { argument });
+    let refused = fails(&srflow(set, &namesake), 1);
+    assert!(refused.contains("s01.events.json: expected the events of"), "{refused}");
+    fs::write(set.join("spotted/s01.events.json"), "{").unwrap();
     let broken = fails(&srflow(set, &SPOT), 1);
-    assert!(broken.contains("s01.json") && broken.contains("delete it"), "{broken}");
+    assert!(broken.contains("s01.events.json") && broken.contains("delete it"), "{broken}");
+}
+
+#[test]
+fn a_video_may_be_called_as_the_settings_and_every_nth_frame_is_read() {
+    let set = SET.path();
+    let video = set.join("spot");
+    fs::create_dir(&video).unwrap();
+    for frame in 1..=12 {
+        fs::copy(set.join(format!("set/s01/{frame:06}.png")), video.join(format!("{frame:06}.png"))).unwrap();
+    }
+    let arguments = ["spot", "spot", "--fps", "120", "--out", "called", "--json"];
+    for _ in 0..2 {
+        let report = crate::json(&srflow(set, &arguments));
+        assert_eq!(report["videos"][0]["seconds"], 0.1, "three frames at 30 per second: {report}");
+    }
+    let signals = fs::read_to_string(set.join("called/spot.frames.csv")).unwrap();
+    let frames: Vec<&str> = signals.lines().skip(1).map(|line| line.split(',').next().unwrap()).collect();
+    assert_eq!(frames, ["1", "5", "9"]);
 }
 
 #[test]

@@ -6,6 +6,7 @@
 
 use std::f64::consts::PI;
 
+use rayon::prelude::*;
 use serde::Serialize;
 use srflow_core::dense;
 use srflow_data::micro_expression::intervals::ExpressionKind;
@@ -95,16 +96,17 @@ pub fn spot_events(
     let macros = MACRO_SECONDS.map(|seconds| (ExpressionKind::Macro, seconds));
     let mut candidates = Vec::new();
     for (kind, seconds) in micro.into_iter().chain(macros) {
-        candidates.extend(bumps(&motion, fps, side, kind, seconds));
+        let least = match kind {
+            ExpressionKind::Micro => settings.micro_score,
+            ExpressionKind::Macro => settings.macro_score,
+        };
+        let bumps = bumps(&motion, fps, side, kind, seconds);
+        candidates.extend(bumps.into_iter().filter(|bump| bump.score >= least));
     }
     candidates.sort_by(|a, b| b.rank().total_cmp(&a.rank()).then(a.at.cmp(&b.at)));
     let mut kept: Vec<SpottedEvent> = Vec::new();
     for bump in candidates {
-        let least = match bump.kind {
-            ExpressionKind::Micro => settings.micro_score,
-            ExpressionKind::Macro => settings.macro_score,
-        };
-        let Some(event) = bump.event(&motion, fps).filter(|_| bump.score >= least) else { continue };
+        let Some(event) = bump.event(&motion, fps) else { continue };
         if kept.iter().all(|other| event.offset < other.onset || event.onset > other.offset) {
             kept.push(event);
         }
@@ -306,7 +308,6 @@ fn filtered(motion: &[RegionMotion], weights: &[f64]) -> Vec<RegionMotion> {
         }
         sum
     };
-    use rayon::prelude::*;
     (0..motion.len()).into_par_iter().map(at).collect()
 }
 

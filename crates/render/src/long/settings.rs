@@ -1,7 +1,6 @@
 //! The settings of long videos.
 
 use serde::{Deserialize, Serialize};
-use srflow_core::random::Key;
 
 use crate::RenderError;
 use crate::clap::Args;
@@ -98,11 +97,6 @@ impl LongSettings {
         // At most 120 minutes at 500 frames per second.
         let frames = (self.minutes * 60.0 * self.fps) as u32;
         frames.div_ceil(piece).max(1) * piece
-    }
-
-    /// Seed of a subject's head.
-    pub(super) fn head_of(&self, subject: u32) -> u64 {
-        u64::from(Key::new(self.seed).scene(subject).stream("subject").bits())
     }
 }
 

@@ -1,8 +1,7 @@
 //! What happens in a long video.
 
-use glam::{EulerRot, Quat, Vec3};
 use srflow_avatar::{Avatar, PosedHead};
-use srflow_core::random::{Key, Stream};
+use srflow_core::random::Key;
 use srflow_data::micro_expression::EmotionClass;
 use srflow_data::micro_expression::intervals::{ExpressionKind, Interval};
 use srflow_head::motion::{Blinks, Gaze, Speech, add_lids, quintic, turn_eyes};
@@ -10,10 +9,10 @@ use srflow_head::{HeadModel, HeadModelError, HeadPose, MicroExpression, Side};
 use srflow_splat::{Camera, Gaussians};
 
 use super::settings::LongSettings;
-use crate::action_units::action_unit_sets;
+use crate::action_units::{action_unit_sets, coded_units};
 use crate::generate::SmoothPath;
 use crate::recording::Light;
-use crate::synth::portrait::{camera, landmarks_in_image};
+use crate::synth::portrait::{camera, drift, landmarks_in_image, move_head};
 
 /// Maximum rotation (yaw, pitch, roll in degrees) and translation (metres) of the head, at drift 1.
 const DRIFT_DEGREES: [f32; 3] = [1.5, 1.0, 0.8];
@@ -113,12 +112,13 @@ impl Timeline {
         frames: u32,
     ) -> Result<Self, HeadModelError> {
         let seconds = frames as f32 / settings.fps;
+        let points = (seconds / DRIFT_KNOT_SECONDS).ceil().clamp(1.0, 1e5) as usize + 1;
         Ok(Self {
             events: events(model, settings, key, frames)?,
             blinks: Blinks::random(key, seconds),
             gaze: Gaze::random(key, seconds),
             speech: Speech::random(key, seconds),
-            head: head_motion(&mut key.stream("drift"), settings.drift, seconds),
+            head: drift(&mut key.stream("drift"), points, DRIFT_DEGREES, DRIFT_METRES, settings.drift),
             available: model.action_units.iter().map(|unit| (unit.number, unit.side)).collect(),
             settings: settings.clone(),
             frames,
@@ -148,12 +148,7 @@ impl Timeline {
         units.retain(|unit| unit.2 > 0.0);
         let mut pose = model.pose_of_action_units(&units)?;
         turn_eyes(&mut pose, model, gaze);
-        let [yaw, pitch, roll, x, y, z] =
-            self.head.at(f64::from(frame - 1) / f64::from(self.frames)).map(|value| value as f32);
-        let turn = Quat::from_euler(EulerRot::YXZ, yaw.to_radians(), -pitch.to_radians(), roll.to_radians());
-        let root = pose.joint_mut(0);
-        *root = (turn * *root).normalize();
-        pose.translation += Vec3::new(x, y, z);
+        move_head(&mut pose, self.head.at(f64::from(frame - 1) / f64::from(self.frames)));
         Ok(pose)
     }
 
@@ -161,20 +156,15 @@ impl Timeline {
     pub fn intervals(&self, video: &str) -> impl Iterator<Item = Interval> {
         self.events.iter().filter_map(move |event| match event.what {
             What::Sentence => None,
-            What::Expression(kind, class) => {
-                let mut numbers: Vec<u8> = event.units.iter().map(|unit| unit.0).collect();
-                numbers.dedup();
-                let numbers: Vec<String> = numbers.iter().map(u8::to_string).collect();
-                Some(Interval {
-                    video: video.to_owned(),
-                    kind,
-                    onset: event.onset.into(),
-                    apex: Some(event.peak[0].into()),
-                    offset: event.offset.into(),
-                    label: class.name().to_owned(),
-                    action_units: numbers.join("+"),
-                })
-            }
+            What::Expression(kind, class) => Some(Interval {
+                video: video.to_owned(),
+                kind,
+                onset: event.onset.into(),
+                apex: Some(event.peak[0].into()),
+                offset: event.offset.into(),
+                label: class.name().to_owned(),
+                action_units: coded_units(&event.units),
+            }),
         })
     }
 
@@ -246,13 +236,4 @@ fn events(
         onset = event.offset + count(stream.uniform(1.5, 6.0));
         events.push(event);
     }
-}
-
-/// Slow rotations and translations of the head.
-fn head_motion(stream: &mut Stream, drift: f32, seconds: f32) -> SmoothPath<6> {
-    let knots = (seconds / DRIFT_KNOT_SECONDS).ceil().clamp(1.0, 1e5) as usize + 1;
-    let reach = |axis: usize| if axis < 3 { DRIFT_DEGREES[axis] } else { DRIFT_METRES };
-    let points = (0..knots)
-        .map(|_| std::array::from_fn(|axis| f64::from(drift * reach(axis) * stream.uniform(-1.0, 1.0))));
-    SmoothPath::through(points.collect())
 }

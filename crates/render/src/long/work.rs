@@ -13,7 +13,7 @@ use crate::RenderError;
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::record::{json_text, read_record};
 use crate::synth::LANDMARKS_NAME;
-use crate::synth::portrait::BACKDROP;
+use crate::synth::portrait::{BACKDROP, head_seed};
 
 /// Name of the file with the arguments.
 const SETTINGS_NAME: &str = "long.json";
@@ -62,7 +62,7 @@ impl Videos {
 
     pub fn video(&self, subject: u32) -> Result<Video, RenderError> {
         let name = name(subject);
-        let avatar = Avatar::builtin(self.settings().head_of(subject))
+        let avatar = Avatar::builtin(head_seed(self.settings().seed, subject))
             .map_err(|error| RenderError::Head { who: name.clone(), reason: error.to_string() })?;
         Ok(Video::new(name, avatar, self.settings(), subject, self.settings().frames(PIECE))?)
     }

@@ -1,14 +1,13 @@
 //! One clip: a head with a micro-expression and a slight drift, in front of a static camera.
 
-use glam::{EulerRot, Quat, Vec3};
 use srflow_avatar::{Avatar, PosedHead};
-use srflow_core::random::{Key, Stream};
+use srflow_core::random::Key;
 use srflow_head::{HeadModelError, HeadPose, MicroExpression};
 use srflow_splat::{Camera, Gaussians};
 
-use super::portrait::{camera, landmarks_in_image};
+use super::portrait::{camera, drift, landmarks_in_image, move_head};
 use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};
-use crate::action_units::{action_unit_sets, unit_name};
+use crate::action_units::{action_unit_sets, coded_units, unit_name};
 use crate::generate::SmoothPath;
 use crate::recording::Light;
 
@@ -55,10 +54,12 @@ impl Clip {
             *intensity = (*intensity * settings.intensity).clamp(0.0, 1.0);
         }
         let frames = expression.offset + FRAMES_AT_REST + 1;
+        let seconds = frames as f32 / settings.fps;
+        let points = (seconds / DRIFT_KNOT_SECONDS).ceil().clamp(1.0, 1000.0) as usize + 2;
         Ok(Self {
             camera: camera(avatar, settings.side, &mut key.stream("framing")),
             light: Light::random(key, settings.lighting),
-            drift: drift(&mut key.stream("drift"), settings, frames),
+            drift: drift(&mut key.stream("drift"), points, DRIFT_DEGREES, DRIFT_METRES, settings.drift),
             expression,
             key,
             frames,
@@ -71,12 +72,7 @@ impl Clip {
 
     fn pose(&self, avatar: &Avatar, moment: Moment) -> Result<HeadPose, HeadModelError> {
         let mut pose = self.expression.pose(avatar.model(), moment.expression)?;
-        let [yaw, pitch, roll, x, y, z] =
-            self.drift.at(moment.head as f64 / (self.frames - 1).max(1) as f64).map(|value| value as f32);
-        let turn = Quat::from_euler(EulerRot::YXZ, yaw.to_radians(), -pitch.to_radians(), roll.to_radians());
-        let root = pose.joint_mut(0);
-        *root = (turn * *root).normalize();
-        pose.translation += Vec3::new(x, y, z);
+        move_head(&mut pose, self.drift.at(moment.head as f64 / (self.frames - 1).max(1) as f64));
         Ok(pose)
     }
 
@@ -95,10 +91,7 @@ impl Clip {
 
     /// Numbers of the action units in the notation of datasets: `1+2`.
     pub fn coded_units(&self) -> String {
-        let mut numbers: Vec<u8> = self.expression.action_units.iter().map(|unit| unit.0).collect();
-        numbers.dedup();
-        let numbers: Vec<String> = numbers.iter().map(u8::to_string).collect();
-        numbers.join("+")
+        coded_units(&self.expression.action_units)
     }
 
     /// Writes the Gaussians of a moment into `out`.
@@ -112,15 +105,4 @@ impl Clip {
         avatar.gaussians_into(&self.pose(avatar, moment)?, head, out);
         Ok(())
     }
-}
-
-/// Slow rotations and translations of the head, throughout the clip.
-fn drift(stream: &mut Stream, settings: &SynthSettings, frames: usize) -> SmoothPath<6> {
-    let seconds = frames as f32 / settings.fps;
-    let knots = (seconds / DRIFT_KNOT_SECONDS).ceil().clamp(1.0, 1000.0) as usize + 1;
-    let reach = |axis: usize| if axis < 3 { DRIFT_DEGREES[axis] } else { DRIFT_METRES };
-    let points = (0..knots + 1).map(|_| {
-        std::array::from_fn(|axis| f64::from(settings.drift * reach(axis) * stream.uniform(-1.0, 1.0)))
-    });
-    SmoothPath::through(points.collect())
 }

@@ -1,11 +1,12 @@
 //! How a camera sees one face, as in a laboratory.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, EulerRot, Quat, Vec3};
 use srflow_avatar::{Avatar, PosedHead};
-use srflow_core::random::Stream;
+use srflow_core::random::{Key, Stream};
+use srflow_head::HeadPose;
 use srflow_splat::Camera;
 
-use crate::generate::{Rig, View};
+use crate::generate::{Rig, SmoothPath, View};
 
 /// The background of the heads: a laboratory's grey backdrop.
 pub const BACKDROP: [f32; 3] = [0.55, 0.56, 0.57];
@@ -15,6 +16,11 @@ const MARGIN: f64 = 1.18;
 
 /// Variation of the framing between recordings of one subject: degrees of azimuth, elevation and roll.
 const VIEW_DEGREES: [f32; 3] = [6.0, 4.0, 2.0];
+
+/// Seed of a subject's head in a set of this seed.
+pub fn head_seed(seed: u64, subject: u32) -> u64 {
+    u64::from(Key::new(seed).scene(subject).stream("subject").bits())
+}
 
 /// A camera at a distance of one metre whose square frame the face fills.
 pub fn camera(avatar: &Avatar, side: usize, stream: &mut Stream) -> Camera {
@@ -43,4 +49,26 @@ pub fn landmarks_in_image(avatar: &Avatar, head: &PosedHead, camera: &Camera) ->
 
 fn landmarks<'a>(avatar: &'a Avatar, vertices: &'a [Vec3]) -> impl Iterator<Item = DVec3> + 'a {
     avatar.model().landmarks_on(vertices).take(68).map(|place| place.as_dvec3())
+}
+
+/// A random motion of a head through so many points: yaw, pitch and roll of up to `degrees`, and places of up to `metres`, to either side.
+pub fn drift(
+    stream: &mut Stream,
+    points: usize,
+    degrees: [f32; 3],
+    metres: f32,
+    strength: f32,
+) -> SmoothPath<6> {
+    let reach = |axis: usize| if axis < 3 { degrees[axis] } else { metres };
+    let point = |_| std::array::from_fn(|axis| f64::from(strength * reach(axis) * stream.uniform(-1.0, 1.0)));
+    SmoothPath::through((0..points).map(point).collect())
+}
+
+/// Turns and moves a head by a place of its [`drift`].
+pub fn move_head(pose: &mut HeadPose, drift: [f64; 6]) {
+    let [yaw, pitch, roll, x, y, z] = drift.map(|value| value as f32);
+    let turn = Quat::from_euler(EulerRot::YXZ, yaw.to_radians(), -pitch.to_radians(), roll.to_radians());
+    let root = pose.joint_mut(0);
+    *root = (turn * *root).normalize();
+    pose.translation += Vec3::new(x, y, z);
 }

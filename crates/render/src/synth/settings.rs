@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_core::random::Key;
 use srflow_data::micro_expression::EmotionClass;
 use srflow_files::FlowFormat;
 
@@ -161,11 +160,6 @@ impl SynthSettings {
             ClipPlan { number, subject, class, subject_name, name }
         };
         Ok((0..self.subjects * self.clips).map(clip).collect())
-    }
-
-    /// Seed of a subject's head.
-    pub(super) fn head_of(&self, subject: u32) -> u64 {
-        u64::from(Key::new(self.seed).scene(subject).stream("subject").bits())
     }
 }
 

@@ -10,7 +10,7 @@ use srflow_files::{write_file, write_flow_as, write_image_png, write_mask_png};
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::clip::{Clip, Moment};
-use super::portrait::BACKDROP;
+use super::portrait::{BACKDROP, head_seed};
 use super::settings::{ClipPlan, Motion, SynthSettings};
 use crate::RenderError;
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
@@ -173,7 +173,7 @@ impl Plan for Clips {
     }
 
     fn group(&self, subject: u32) -> Result<Avatar, RenderError> {
-        Avatar::builtin(self.settings().head_of(subject)).map_err(|error| RenderError::Head {
+        Avatar::builtin(head_seed(self.settings().seed, subject)).map_err(|error| RenderError::Head {
             who: self.clip(subject, 0).subject_name.clone(),
             reason: error.to_string(),
         })

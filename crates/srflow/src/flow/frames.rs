@@ -149,18 +149,18 @@ impl Source {
     /// When it cannot be read.
     pub fn first(&self) -> anyhow::Result<Image> {
         let mut first = None;
-        self.read(0, |frame| {
+        self.read(0, 1, |frame| {
             first = Some(frame);
             false
         });
         Ok(first.context("expected a frame, found none")??.image)
     }
 
-    /// Reads the frames in order, except the first `skip`; `take` returns whether it wants more.
-    pub fn read(&self, skip: u64, mut take: impl FnMut(anyhow::Result<Frame>) -> bool) {
+    /// Reads every `stride`-th frame in order, after the first `skip`; `take` returns whether it wants more.
+    pub fn read(&self, skip: u64, stride: usize, mut take: impl FnMut(anyhow::Result<Frame>) -> bool) {
         match self {
             Self::Files(files) => {
-                for file in files.iter().skip(skip as usize) {
+                for file in files.iter().skip(skip as usize).step_by(stride) {
                     let frame = |image| Frame { label: file.display().to_string(), stem: stem(file), image };
                     if !take(read_image(file).map(frame).map_err(Into::into)) {
                         return;
@@ -168,7 +168,7 @@ impl Source {
                 }
             }
             Self::Video(path, _) => {
-                if let Err(error) = read_video(path, skip, &mut take) {
+                if let Err(error) = read_video(path, skip, stride, &mut take) {
                     take(Err(error));
                 }
             }
@@ -179,13 +179,14 @@ impl Source {
 fn read_video(
     path: &Path,
     skip: u64,
+    stride: usize,
     take: &mut impl FnMut(anyhow::Result<Frame>) -> bool,
 ) -> anyhow::Result<()> {
     let mut video = VideoReader::open(path)?;
     let mut count = 0;
     while let Some(image) = video.next_frame()? {
         count += 1;
-        if count <= skip {
+        if count <= skip || !(count - 1 - skip).is_multiple_of(stride as u64) {
             continue;
         }
         let label = format!("{} frame {count}", path.display());

@@ -443,7 +443,7 @@ impl Work<'_> {
     fn read(&self, skip: u64, crop: &FrameCrop, give: &mut dyn FnMut(anyhow::Result<Vec<Frame>>) -> bool) {
         let batch = self.job.parameters.network.batch;
         let (mut frames, mut wanted, mut more) = (Vec::new(), batch + 1, true);
-        self.source.read(skip, |frame| {
+        self.source.read(skip, 1, |frame| {
             if self.watch.stops() {
                 self.stopped.store(true, Ordering::Relaxed);
                 frames.clear();

@@ -32,6 +32,8 @@ const LARGEST_SIDE: usize = 256;
 
 /// The list of the settings, in the folder of the results.
 const SETTINGS_NAME: &str = "spot.json";
+/// Ending of the record of a finished video.
+const RECORD_ENDING: &str = ".events.json";
 const EVENTS_NAME: &str = "events.csv";
 const MEGC_NAME: &str = "megc.csv";
 
@@ -115,7 +117,9 @@ impl Job for SpotJob {
         let mut videos = Vec::new();
         for path in &self.videos {
             let source = Source::open(std::slice::from_ref(path))?;
-            let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let path = std::path::absolute(path)?;
+            let name = if path.is_dir() { path.file_name() } else { path.file_stem() };
+            let name = name.unwrap_or_default().to_string_lossy().into_owned();
             if !names.insert(name.clone()) {
                 wrong_settings!("{}: another video is called `{name}`, too; rename one", path.display());
             }
@@ -128,7 +132,7 @@ impl Job for SpotJob {
                     fps.or(found).unwrap_or_default()
                 ),
             };
-            videos.push(Video { name, source, fps });
+            videos.push(Video { name, path, source, fps });
         }
         let estimator = methods::estimator(&self.method, &self.parameters, watch)?;
         self.claim()?;
@@ -136,10 +140,9 @@ impl Job for SpotJob {
         let mut spotted = Vec::new();
         let mut stopped = false;
         for video in &videos {
-            let kept = self.out.join(format!("{}.json", video.name));
+            let kept = self.out.join(format!("{}{RECORD_ENDING}", video.name));
             let result = match kept.is_file() {
-                true => serde_json::from_str(&read_text(&kept, FileKind::Json)?)
-                    .with_context(|| format!("{}: delete it and run the command again", kept.display()))?,
+                true => video.kept(&kept)?,
                 false => match self.spot(video, estimator.as_ref(), watch)? {
                     Some(result) => result,
                     None => {
@@ -165,8 +168,25 @@ impl Job for SpotJob {
 
 struct Video {
     name: String,
+    path: PathBuf,
     source: Source,
     fps: f64,
+}
+
+impl Video {
+    /// What an earlier run spotted in this video.
+    fn kept(&self, record: &Path) -> anyhow::Result<SpottedVideo> {
+        let spotted: SpottedVideo = serde_json::from_str(&read_text(record, FileKind::Json)?)
+            .with_context(|| format!("{}: delete it and run the command again", record.display()))?;
+        ensure!(
+            spotted.path == self.path,
+            "{}: expected the events of {}, found those of {}; choose another folder",
+            record.display(),
+            self.path.display(),
+            spotted.path.display()
+        );
+        Ok(spotted)
+    }
 }
 
 impl SpotJob {
@@ -189,15 +209,20 @@ impl SpotJob {
         }
         create_folder(&self.out)?;
         if self.force {
-            for path in &self.videos {
-                let name = path.file_stem().unwrap_or_default().to_string_lossy();
-                let kept = self.out.join(format!("{name}.json"));
-                if kept.is_file() {
-                    std::fs::remove_file(&kept).with_context(|| kept.display().to_string())?;
-                }
-            }
+            self.forget()?;
         }
         Ok(write_file(&path, serde_json::to_string_pretty(&settings)? + "\n")?)
+    }
+
+    /// Removes the records of all videos: they may be of other settings.
+    fn forget(&self) -> anyhow::Result<()> {
+        for entry in std::fs::read_dir(&self.out).with_context(|| self.out.display().to_string())? {
+            let path = entry?.path();
+            if path.to_string_lossy().ends_with(RECORD_ENDING) {
+                std::fs::remove_file(&path).with_context(|| path.display().to_string())?;
+            }
+        }
+        Ok(())
     }
 
     /// Spots the events of a video, and writes its files; `None` if it was stopped.
@@ -214,20 +239,16 @@ impl SpotJob {
         done.message(video.name.as_str());
         let mut followed: Option<Followed> = None;
         let mut failed = None;
-        let mut number = 0;
         let mut stopped = false;
-        video.source.read(0, |frame| {
+        video.source.read(0, stride, |frame| {
             let follow = || -> anyhow::Result<()> {
                 let frame = frame?;
-                if number % stride == 0 {
-                    let followed = match &mut followed {
-                        Some(followed) => followed,
-                        none => none.insert(Followed::new(self, video, &frame.image, estimator, fps)?),
-                    };
-                    followed.recorder.push(followed.face.cut(&frame.image)?)?;
-                    done.inc();
-                }
-                number += 1;
+                let followed = match &mut followed {
+                    Some(followed) => followed,
+                    none => none.insert(Followed::new(self, video, &frame.image, estimator, fps)?),
+                };
+                followed.recorder.push(followed.face.cut(&frame.image)?)?;
+                done.inc();
                 Ok(())
             };
             failed = follow().err();
@@ -250,8 +271,12 @@ impl SpotJob {
         let seconds = |place: usize| place as f64 / fps;
         let events: Vec<Event> =
             events.iter().map(|event| Event::new(event, frame, seconds, face.shrunk)).collect();
-        let spotted =
-            SpottedVideo { video: video.name.clone(), frames: number as u64, fps: video.fps, events };
+        let spotted = SpottedVideo {
+            video: video.name.clone(),
+            path: video.path.clone(),
+            seconds: signals.regions.len() as f64 / fps,
+            events,
+        };
 
         write_signals(
             &self.out.join(format!("{}.frames.csv", video.name)),
@@ -271,7 +296,7 @@ impl SpotJob {
         )?;
         // The record says that the video is finished, so it comes last.
         write_file(
-            &self.out.join(format!("{}.json", video.name)),
+            &self.out.join(format!("{}{RECORD_ENDING}", video.name)),
             serde_json::to_string_pretty(&spotted)? + "\n",
         )?;
         Ok(Some(spotted))
@@ -345,8 +370,9 @@ impl Face {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SpottedVideo {
     pub video: String,
-    pub frames: u64,
-    pub fps: f64,
+    /// Its file or folder.
+    pub path: PathBuf,
+    pub seconds: f64,
     pub events: Vec<Event>,
 }
 
@@ -406,6 +432,11 @@ impl Event {
     }
 }
 
+/// The events of all videos, with the names of these.
+fn events_of(videos: &[SpottedVideo]) -> impl Iterator<Item = (&str, &Event)> {
+    videos.iter().flat_map(|video| video.events.iter().map(move |event| (video.video.as_str(), event)))
+}
+
 /// All events, with seconds, region and strength.
 fn write_events(path: &Path, videos: &[SpottedVideo]) -> anyhow::Result<()> {
     Ok(write_atomically(path, |writer| {
@@ -426,12 +457,10 @@ fn write_events(path: &Path, videos: &[SpottedVideo]) -> anyhow::Result<()> {
             "score",
             "with_lids",
         ])?;
-        for (video, event) in
-            videos.iter().flat_map(|video| video.events.iter().map(move |event| (video, event)))
-        {
+        for (video, event) in events_of(videos) {
             let milliseconds = |from: f64, to: f64| format!("{:.0}", 1000.0 * (to - from));
             table.write_record([
-                video.video.as_str(),
+                video,
                 event.kind.name(),
                 &event.onset.to_string(),
                 &event.apex.to_string(),
@@ -456,14 +485,12 @@ fn write_megc(path: &Path, videos: &[SpottedVideo]) -> anyhow::Result<()> {
     Ok(write_atomically(path, |writer| {
         let mut table = csv::Writer::from_writer(writer);
         table.write_record(["vid", "pred_onset", "pred_offset", "type"])?;
-        for (video, event) in
-            videos.iter().flat_map(|video| video.events.iter().map(move |event| (video, event)))
-        {
+        for (video, event) in events_of(videos) {
             let kind = match event.kind {
                 ExpressionKind::Micro => "me",
                 ExpressionKind::Macro => "mae",
             };
-            table.write_record([&video.video, &event.onset.to_string(), &event.offset.to_string(), kind])?;
+            table.write_record([video, &event.onset.to_string(), &event.offset.to_string(), kind])?;
         }
         table.flush()
     })?)
@@ -511,14 +538,13 @@ impl Report for SpotReport {
 
 impl fmt::Display for SpotReport {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        for SpottedVideo { video, frames, fps, events } in &self.videos {
+        for SpottedVideo { video, seconds, events, .. } in &self.videos {
             let micro = events.iter().filter(|event| event.kind == ExpressionKind::Micro).count();
             write_line(
                 f,
                 format_args!(
-                    "{video}: {micro} micro- and {} macro-expressions in {:.1} s",
-                    events.len() - micro,
-                    *frames as f64 / fps
+                    "{video}: {micro} micro- and {} macro-expressions in {seconds:.1} s",
+                    events.len() - micro
                 ),
             )?;
         }

@@ -74,17 +74,16 @@ impl Job for SpotScoreJob {
             wrong_settings!("`fps` must be a positive number");
         }
         let mut truths = Vec::new();
+        let mut known = BTreeSet::new();
         let mut rates = Vec::new();
         for source in &self.truth {
             let Intervals { intervals, notes, fps } = source.read()?;
             notes.iter().for_each(|note| log::warn!("{source}: {note}"));
-            let names =
-                |intervals: &[srflow_data::micro_expression::intervals::Interval]| -> BTreeSet<String> {
-                    intervals.iter().map(|interval| interval.video.clone()).collect()
-                };
-            if let Some(video) = names(&truths).intersection(&names(&intervals)).next() {
+            let names: BTreeSet<String> = intervals.iter().map(|interval| interval.video.clone()).collect();
+            if let Some(video) = known.intersection(&names).next() {
                 wrong_settings!("{source}: a file before it has a video {video}, too; give each file once");
             }
+            known.extend(names);
             rates.extend(fps);
             truths.extend(intervals);
         }
@@ -103,22 +102,20 @@ impl Job for SpotScoreJob {
             };
             retyped(&mut predictions, self.types, fps);
         }
-        let known: BTreeSet<&str> = truths.iter().map(|interval| interval.video.as_str()).collect();
         let unknown: BTreeSet<&str> = predictions
             .iter()
             .map(|interval| interval.video.as_str())
-            .filter(|video| !known.contains(video))
+            .filter(|video| !known.contains(*video))
             .collect();
         if !predictions.is_empty()
             && predictions.iter().all(|interval| unknown.contains(interval.video.as_str()))
         {
-            let first =
-                |names: &BTreeSet<&str>| names.first().map(|name| (*name).to_owned()).unwrap_or_default();
+            let expected = known.first().map_or("", String::as_str);
+            let found = unknown.first().copied().unwrap_or_default();
             return Err(anyhow::anyhow!(
-                "no video of the predictions is one of the truth's, such as `{}`: call them alike",
-                first(&known)
+                "no video of the predictions is one of the truth's, such as `{expected}`: call them alike"
             ))
-            .context(format!("video `{}`", first(&unknown)));
+            .context(format!("video `{found}`"));
         }
         if !unknown.is_empty() {
             log::warn!(

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use srflow_core::excerpt;
 
-use super::{ExpressionKind, Interval, IntervalKind, Intervals, frame_number};
+use super::{ExpressionKind, Interval, IntervalKind, Intervals, frame_number, in_order};
 use crate::micro_expression::MicroExpressionError;
 use crate::micro_expression::sheet::read_sheets;
 
@@ -45,18 +45,9 @@ fn read(path: &Path) -> Result<Intervals, MicroExpressionError> {
             row: row as usize + 1,
             reason: excerpt(&reason),
         };
-        let frame = |column: u32, name: &str| {
-            let text = text(0, row, column);
-            frame_number(text)
-                .ok_or_else(|| wrong(format!("{name}: expected a frame number, found `{text}`")))
-        };
+        let frame = |column: u32, name: &str| frame_number(name, text(0, row, column)).map_err(wrong);
         let (subject, clip) = (text(0, row, 0), text(0, row, 1));
-        let kind = ExpressionKind::of_text(text(0, row, 7)).ok_or_else(|| {
-            wrong(format!(
-                "column 8: expected macro-expression or micro-expression, found `{}`",
-                text(0, row, 7)
-            ))
-        })?;
+        let kind = ExpressionKind::of_text("column 8", text(0, row, 7)).map_err(wrong)?;
         let folder = folder_of_subject.get(subject);
         let folder =
             folder.ok_or_else(|| wrong(format!("subject {subject} has no row in the second sheet")))?;
@@ -75,9 +66,7 @@ fn read(path: &Path) -> Result<Intervals, MicroExpressionError> {
         };
         let apex = Some(apex).filter(|apex| *apex > 0);
         without_apex += usize::from(apex.is_none());
-        if onset > offset {
-            return Err(wrong(format!("expected onset <= offset, found onset {onset}, offset {offset}")));
-        }
+        in_order(onset, offset).map_err(wrong)?;
         found.intervals.push(Interval {
             video: format!("{folder}_{code}"),
             kind,

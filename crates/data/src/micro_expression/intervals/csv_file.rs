@@ -5,7 +5,7 @@ use std::path::Path;
 use srflow_core::excerpt;
 use srflow_files::{CsvTable, FileKind, write_atomically};
 
-use super::{ExpressionKind, Interval, IntervalKind, Intervals, frame_number};
+use super::{ExpressionKind, Interval, IntervalKind, Intervals, frame_number, in_order};
 use crate::micro_expression::MicroExpressionError;
 
 pub(super) const KIND: IntervalKind =
@@ -50,17 +50,10 @@ fn read(path: &Path) -> Result<Intervals, MicroExpressionError> {
             row: row.line,
             reason: excerpt(&reason),
         };
-        let frame = |column: &str, text: &str| {
-            frame_number(text)
-                .ok_or_else(|| wrong(format!("{column}: expected a frame number, found `{text}`")))
-        };
+        let frame = |column: &str, text: &str| frame_number(column, text).map_err(wrong);
         let (first, last) = (frame("onset", row.text(onset))?, frame("offset", row.text(offset))?);
-        if first > last {
-            return Err(wrong(format!("expected onset <= offset, found onset {first}, offset {last}")));
-        }
-        let kind = row.text(kind);
-        let kind = ExpressionKind::of_text(kind)
-            .ok_or_else(|| wrong(format!("type: expected micro or macro (or me, mae), found `{kind}`")))?;
+        in_order(first, last).map_err(wrong)?;
+        let kind = ExpressionKind::of_text("type", row.text(kind)).map_err(wrong)?;
         let text = |place: Option<usize>| place.map_or("", |place| row.text(place));
         let video = row.text(video).to_owned();
         if video.is_empty() {

@@ -27,14 +27,14 @@ serialize_as_text!(ExpressionKind);
 
 impl ExpressionKind {
     /// What datasets and challenges call it, in any case: `me`, `Micro - 1/2`, `macro-expression`.
-    fn of_text(text: &str) -> Option<Self> {
-        let text = text.trim().to_ascii_lowercase();
-        match text.as_str() {
-            "me" => Some(Self::Micro),
-            "mae" => Some(Self::Macro),
-            _ if text.starts_with("micro") => Some(Self::Micro),
-            _ if text.starts_with("macro") => Some(Self::Macro),
-            _ => None,
+    fn of_text(column: &str, text: &str) -> Result<Self, String> {
+        let name = text.trim().to_ascii_lowercase();
+        match name.as_str() {
+            "me" => Ok(Self::Micro),
+            "mae" => Ok(Self::Macro),
+            _ if name.starts_with("micro") => Ok(Self::Micro),
+            _ if name.starts_with("macro") => Ok(Self::Macro),
+            _ => Err(format!("{column}: expected micro or macro (or me, mae), found `{text}`")),
         }
     }
 }
@@ -76,9 +76,19 @@ pub struct Intervals {
 /// Frame numbers that are read are this large at most.
 const LAST_FRAME: i64 = 1 << 40;
 
-/// A frame number, perhaps as programs write it whose columns hold fractions, such as `19.0`.
-fn frame_number(text: &str) -> Option<i64> {
+/// A frame number in a column, perhaps as programs write it whose columns hold fractions, such as `19.0`.
+fn frame_number(column: &str, text: &str) -> Result<i64, String> {
     let (sign, digits) = text.trim().strip_prefix('-').map_or((1, text), |digits| (-1, digits));
-    let number = i64::try_from(whole_number(digits)?).ok()?;
-    (number <= LAST_FRAME).then_some(sign * number)
+    let number = whole_number(digits).and_then(|number| i64::try_from(number).ok());
+    let number = number.filter(|number| *number <= LAST_FRAME);
+    number
+        .map(|number| sign * number)
+        .ok_or_else(|| format!("{column}: expected a frame number, found `{text}`"))
+}
+
+fn in_order(onset: i64, offset: i64) -> Result<(), String> {
+    match onset <= offset {
+        true => Ok(()),
+        false => Err(format!("expected onset <= offset, found onset {onset}, offset {offset}")),
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{ExpressionKind, Interval, IntervalKind, Intervals};
+use super::{ExpressionKind, Interval, IntervalKind, Intervals, in_order};
 use crate::micro_expression::MicroExpressionError;
 use crate::micro_expression::forms;
 use crate::micro_expression::sheet::{Row, read_form};
@@ -17,20 +17,17 @@ fn read(path: &Path) -> Result<Intervals, MicroExpressionError> {
     let mut found = Intervals { fps: Some(FPS), ..Intervals::default() };
     let mut before_the_video = 0;
     for row in table.rows() {
+        let wrong = |reason| row.wrong(reason);
         let clip = row.filled("Filename")?;
         // The clip is the video's name and a number: 006_1_2.
         let video = clip.rsplit_once('_').map_or(clip, |(video, _)| video).to_owned();
-        let kind = row.filled("Type")?;
-        let kind = ExpressionKind::of_text(kind)
-            .ok_or_else(|| row.wrong(format!("Type: expected Macro or Micro, found `{kind}`")))?;
+        let kind = ExpressionKind::of_text("Type", row.filled("Type")?).map_err(wrong)?;
         let (onset, offset) = (rounded(row, "Onset")?, rounded(row, "Offset")?);
         // -1 is unknown.
         let apex = Some(rounded(row, "Apex")?).filter(|apex| *apex >= 0);
         before_the_video += usize::from(onset < 1);
         let onset = onset.max(1);
-        if onset > offset {
-            return Err(row.wrong(format!("expected Onset <= Offset, found Onset {onset}, Offset {offset}")));
-        }
+        in_order(onset, offset).map_err(wrong)?;
         let action_units = row.text("Action Units").to_owned();
         found.intervals.push(Interval {
             video,

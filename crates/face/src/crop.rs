@@ -45,6 +45,19 @@ impl FromStr for FaceBox {
     }
 }
 
+impl FaceBox {
+    /// # Errors
+    /// When it is not inside of a frame of this width and height.
+    pub fn check_inside(self, (width, height): (usize, usize)) -> Result<(), FaceError> {
+        let fits =
+            |start: usize, len: usize, whole: usize| start.checked_add(len).is_some_and(|end| end <= whole);
+        if fits(self.left, self.width, width) && fits(self.top, self.height, height) {
+            return Ok(());
+        }
+        Err(FaceError::Outside { face: self, width, height })
+    }
+}
+
 impl fmt::Display for FaceBox {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{},{},{}x{}", self.left, self.top, self.width, self.height)
@@ -83,6 +96,9 @@ pub(crate) fn upright_side(face: &FacePoints) -> f64 {
 }
 
 impl FrameCrop {
+    /// Where the middle between the eyes is in an upright square, as shares of its side.
+    pub const EYES_MIDDLE: [f64; 2] = [(EYES_X[0] + EYES_X[1]) / 2.0, EYES_Y];
+
     /// The square about a face. One pixel of it is one pixel of the frame: nothing is resized here.
     pub fn upright(face: &FacePoints) -> Self {
         let [left, right] = face.eyes;
@@ -104,13 +120,7 @@ impl FrameCrop {
         match *self {
             Self::Whole => Ok(frame.clone()),
             Self::Fixed(face) => {
-                let (width, height) = frame.size();
-                let fits = |start: usize, len: usize, whole: usize| {
-                    start.checked_add(len).is_some_and(|end| end <= whole)
-                };
-                if !fits(face.left, face.width, width) || !fits(face.top, face.height, height) {
-                    return Err(FaceError::Outside { face, width, height });
-                }
+                face.check_inside(frame.size())?;
                 Ok(frame.crop(face.left, face.top, face.width, face.height))
             }
             Self::Upright { side, origin, right: [c, s] } => {

@@ -48,6 +48,13 @@ impl FacePoints {
         Ok(FaceBox { left, top, width: across, height: down })
     }
 
+    /// Pixels from the middle between the eyes to that of another face.
+    pub fn distance_to(&self, other: &Self) -> f64 {
+        let middle =
+            |Self { eyes: [left, right], .. }: &Self| [0, 1].map(|axis| (left[axis] + right[axis]) / 2.0);
+        distance([middle(self), middle(other)])
+    }
+
     /// From the points of MediaPipe's mesh nearest to dlib's. The eyes are midway between their corners, which blinks do not move.
     /// `None` as in [`Self::of`].
     pub(crate) fn of_mesh_table(points: &[[f64; 2]]) -> Option<Self> {

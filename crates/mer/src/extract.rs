@@ -82,14 +82,26 @@ pub fn features_of_frames(
     estimator: &dyn FlowEstimator,
     settings: FeatureSettings,
 ) -> Result<(Features, Option<SubtractedMotion>), ExtractProblem> {
-    const SIZE: (usize, usize) = (FEATURE_SIDE, FEATURE_SIDE);
-    let FeatureSettings { resize, head_motion, strain } = settings;
-    let flow = match resize {
+    let flow = match settings.resize {
         ResizeOrder::Before => estimator.estimate(&resize_cubic(onset, SIZE), &resize_cubic(apex, SIZE))?,
         ResizeOrder::After => estimator.estimate(onset, apex)?,
     };
+    features_of_flow(flow, settings)
+}
+
+/// Width and height of the feature maps.
+const SIZE: (usize, usize) = (FEATURE_SIDE, FEATURE_SIDE);
+
+/// The flow from onset to apex, of any size, as [`features_of_frames`] gives it.
+///
+/// # Errors
+/// When the flow is not finite.
+pub fn features_of_flow(
+    flow: FlowField,
+    FeatureSettings { head_motion, strain, .. }: FeatureSettings,
+) -> Result<(Features, Option<SubtractedMotion>), ExtractProblem> {
     let (mut flow, subtracted) = head_motion.applied(flow);
-    if resize == ResizeOrder::After {
+    if flow.size() != SIZE {
         flow = resize_flow_area(&flow, SIZE);
     }
     let [u, v] = components(&flow);

@@ -42,7 +42,8 @@ pub use classifier::{
 };
 pub use comparison::{Comparison, comparisons};
 pub use extract::{
-    Extracted, FeatureSettings, Method, Preparation, ResizeOrder, extract, features_of_frames,
+    Extracted, FeatureSettings, Method, Preparation, ResizeOrder, extract, features_of_flow,
+    features_of_frames,
 };
 pub use extract_error::{ExtractError, ExtractProblem};
 pub use face::{FaceCrop, Landmarks};

@@ -1,15 +1,17 @@
 //! Arguments for cutting out the face, and where its landmarks come from.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::clap::Args;
 use serde::{Deserialize, Serialize};
-use srflow_core::Image;
+use srflow_core::{Image, excerpt};
 use srflow_data::micro_expression::Clip;
 use srflow_face::{
-    FaceBox, FaceFinder, FacePoints, FrameCrop, LandmarkTable, MODEL_SOURCES, write_landmarks,
+    FaceBox, FaceError, FaceFinder, FacePoints, FrameCrop, LandmarkTable, MODEL_SOURCES, write_landmarks,
 };
+use srflow_files::whole_number;
 use srflow_mer::{FaceCrop, Landmarks};
 
 use crate::Watch;
@@ -56,6 +58,18 @@ impl FaceArgs {
     /// Whether landmarks are detected, and not given.
     pub fn detects(&self) -> bool {
         self.face.is_some()
+    }
+
+    /// The box that is given, for a place that has no frames to find a face in.
+    ///
+    /// # Errors
+    /// Names the setting that needs frames.
+    pub fn still_box(&self) -> Result<Option<FaceBox>, &'static str> {
+        match self {
+            Self { face: Some(_), .. } => Err("face"),
+            Self { landmarks: Some(_), .. } => Err("landmarks"),
+            Self { face_box, .. } => Ok(*face_box),
+        }
     }
 
     fn index(&self) -> Option<usize> {
@@ -109,45 +123,75 @@ impl FaceArgs {
         })
     }
 
-    /// The face in the first frame of a sequence, whose crop is that of all its frames: with `--landmarks`, that of the first row with a face.
+    /// The face whose crop is that of all frames of a sequence: the first one that is found in these frames, or in a row of the landmarks.
     ///
     /// # Errors
-    /// When landmarks cannot be read or found.
-    pub fn of_first_frame(&self, first: &Image) -> anyhow::Result<FoundFace> {
-        self.of_video("", first)
-    }
-
-    /// As [`of_first_frame`](Self::of_first_frame), for one of several videos, which `landmarks` with a column `video` name.
-    ///
-    /// # Errors
-    /// When landmarks cannot be read or found.
-    pub fn of_video(&self, name: &str, first: &Image) -> anyhow::Result<FoundFace> {
+    /// When a frame cannot be read, landmarks cannot be read, or there is no face.
+    pub fn of_sequence(
+        &self,
+        frames: impl FnOnce(&mut dyn FnMut(anyhow::Result<Image>) -> bool),
+    ) -> anyhow::Result<FoundFace> {
         let upright =
             |points: FacePoints| FoundFace { crop: FrameCrop::upright(&points), points: Some(points) };
         if let Some(finder) = self.finder()? {
-            return Ok(upright(finder.face(first, self.index())?.points));
+            let mut found = Err(FaceError::NoFace.into());
+            let mut looked = 0;
+            frames(&mut |frame| {
+                found = frame.and_then(|frame| Ok(finder.face(&frame, self.index())?.points));
+                looked += 1;
+                let none = found.as_ref().is_err_and(is_no_face);
+                none && looked < MOST_LOOKED_AT
+            });
+            return Ok(upright(found?));
         }
         Ok(match (&self.landmarks, self.face_box) {
-            (Some(path), _) => {
-                let table = read_table(path, &[], &[VIDEO])?;
-                let names_videos =
-                    table.rows().iter().any(|row| row.keys.iter().any(|name| !name.is_empty()));
-                if names_videos && !name.is_empty() {
-                    return Ok(upright(table.of(name)?.clone()));
-                }
-                let (row, face) = table.first()?;
-                if let Some(skipped) = table.rows().first().filter(|first| first.line != row.line) {
-                    log::warn!(
-                        "{}: in row {} the tracker found no face; the face of row {} is used",
-                        path.display(),
-                        skipped.line,
-                        row.line
-                    );
-                }
-                upright(face.clone())
-            }
+            (Some(path), _) => upright(first_of(path, &read_table(path, &[], &[])?)?),
             (None, Some(face)) => FoundFace { points: None, crop: FrameCrop::Fixed(face) },
             (None, None) => FoundFace { points: None, crop: FrameCrop::Whole },
+        })
+    }
+
+    /// The face of a video, which is followed if it is detected, or if `landmarks` has rows of several frames.
+    ///
+    /// # Errors
+    /// When landmarks or networks cannot be read.
+    pub fn along(&self, video: &str) -> anyhow::Result<FaceTrack> {
+        if let Some(finder) = self.finder()? {
+            return Ok(FaceTrack::Found { finder, index: self.index(), last: None });
+        }
+        let still = |points, crop| FaceTrack::Still(FoundFace { points, crop });
+        Ok(match (&self.landmarks, self.face_box) {
+            (Some(path), _) => {
+                let table = read_table(path, &[], &[VIDEO, FRAME])?;
+                let names_videos = table.rows().iter().any(|row| !row.keys[0].is_empty());
+                let numbers_frames = table.rows().iter().any(|row| !row.keys[1].is_empty());
+                if numbers_frames {
+                    let mut frames = BTreeMap::new();
+                    for row in table.rows().iter().filter(|row| !names_videos || row.keys[0] == video) {
+                        let number = whole_number(&row.keys[1]).and_then(|number| i64::try_from(number).ok());
+                        let Some(number) = number else {
+                            wrong_settings!(
+                                "{}: row {}, {FRAME}: expected a frame number, found {}",
+                                path.display(),
+                                row.line,
+                                excerpt(&row.keys[1])
+                            )
+                        };
+                        frames.insert(number, row.face.clone());
+                    }
+                    if frames.values().flatten().next().is_none() {
+                        return Err(table.no_landmarks(video.to_owned(), None).into());
+                    }
+                    return Ok(FaceTrack::Table(frames));
+                }
+                let points = match names_videos {
+                    true => table.of(video)?.clone(),
+                    false => first_of(path, &table)?,
+                };
+                still(Some(points.clone()), FrameCrop::upright(&points))
+            }
+            (None, Some(face)) => still(None, FrameCrop::Fixed(face)),
+            (None, None) => still(None, FrameCrop::Whole),
         })
     }
 
@@ -166,6 +210,68 @@ impl FaceArgs {
     }
 }
 
+/// In so many frames a face is looked for before a sequence is said to have none.
+const MOST_LOOKED_AT: usize = 250;
+
+fn is_no_face(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(FaceError::NoFace))
+}
+
+/// The face of the first row that has one; a note says which rows were skipped.
+fn first_of(path: &Path, table: &LandmarkTable) -> anyhow::Result<FacePoints> {
+    let (row, face) = table.first()?;
+    if let Some(skipped) = table.rows().first().filter(|first| first.line != row.line) {
+        log::warn!(
+            "{}: in row {} the tracker found no face; the face of row {} is used",
+            path.display(),
+            skipped.line,
+            row.line
+        );
+    }
+    Ok(face.clone())
+}
+
+/// The face along a video.
+pub enum FaceTrack {
+    /// At one place in all frames.
+    Still(FoundFace),
+    /// By the landmarks of frames, by their numbers; `None` in frames without a face.
+    Table(BTreeMap<i64, Option<FacePoints>>),
+    /// Found by networks; of several faces the one nearest to where it was.
+    Found { finder: FaceFinder, index: Option<usize>, last: Option<FacePoints> },
+}
+
+impl FaceTrack {
+    /// The landmarks in the frame of this number; `None` if no face is there.
+    ///
+    /// # Errors
+    /// When there are several faces, and none was chosen.
+    pub fn points(&mut self, number: i64, frame: &Image) -> anyhow::Result<Option<FacePoints>> {
+        match self {
+            Self::Still(face) => Ok(face.points.clone()),
+            Self::Table(frames) => Ok(frames.range(..=number).next_back().and_then(|(_, face)| face.clone())),
+            Self::Found { finder, index, last } => {
+                let found = match last {
+                    None => match finder.face(frame, *index) {
+                        Ok(face) => Some(face.points),
+                        Err(FaceError::NoFace) => None,
+                        Err(error) => return Err(error.into()),
+                    },
+                    Some(last) => {
+                        let faces = finder.faces(frame)?.into_iter().map(|face| face.points);
+                        let away = |face: &FacePoints| face.distance_to(last);
+                        faces.min_by(|a, b| away(a).total_cmp(&away(b)))
+                    }
+                };
+                if found.is_some() {
+                    last.clone_from(&found);
+                }
+                Ok(found)
+            }
+        }
+    }
+}
+
 /// Reads a file of landmarks with these columns beside the points.
 fn read_table(path: &Path, needed: &[&str], optional: &[&str]) -> anyhow::Result<LandmarkTable> {
     let table = LandmarkTable::read(path, needed, optional)?;
@@ -177,6 +283,9 @@ fn read_table(path: &Path, needed: &[&str], optional: &[&str]) -> anyhow::Result
 
 /// Column of the names of videos in a file of landmarks.
 const VIDEO: &str = "video";
+
+/// Column of the numbers of frames in a file of landmarks.
+const FRAME: &str = "frame";
 
 /// Column of the names of pairs in a file of landmarks.
 const PAIR: &str = "pair";

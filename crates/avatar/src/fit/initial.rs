@@ -1,6 +1,7 @@
 //! The pose of a head before anything is known: from triangulated landmarks, or from one view under weak perspective.
 
 use glam::{DMat3, DMat4, DQuat, DVec2, DVec3, DVec4};
+use srflow_core::median;
 use srflow_splat::Camera;
 
 use super::LandmarkView;
@@ -119,14 +120,8 @@ const ROUNDS: usize = 12;
 
 /// Weights by the loss of Geman and McClure, for residuals in units of twice their median.
 fn robust_weights(residuals: &[f64], least: f64) -> Vec<f64> {
-    let scale = 2.0 * median(residuals).max(least);
+    let scale = 2.0 * median(residuals.iter().copied()).max(least);
     residuals.iter().map(|r| 1.0 / (1.0 + (r / scale).powi(2)).powi(2)).collect()
-}
-
-pub(super) fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    let middle = sorted.len() / 2;
-    if sorted.is_empty() { 0.0 } else { *sorted.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// The rigid transform of the first points onto the second ones (Horn 1987), reweighted against outliers.

@@ -6,9 +6,10 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::arrow::{Block, Step, System};
-use super::initial::{candidates, median};
+use super::initial::candidates;
 use super::{FitOptions, LandmarkView};
 use crate::capture::LANDMARK_COUNT;
+use srflow_core::median;
 use srflow_head::{HeadModel, HeadPoints, HeadState, JointRole, rotation_of_axis_angle};
 
 /// Standard deviations of normal distributions: of parameters about rest, and of their change from one timestep to the next that
@@ -322,7 +323,7 @@ impl<'a> Problem<'a> {
         if norms.is_empty() {
             return None;
         }
-        let noise = median(&norms) / MEDIAN_DISTANCE;
+        let noise = median(norms.iter().copied()) / MEDIAN_DISTANCE;
         // Parameters take up some of the noise; priors hold many of them, so that half of the residuals always count.
         let free = if window.rigid { 6 } else { self.own() };
         let free = (free * window.range.len() + if window.identity { self.identities } else { 0 }) as f64;
@@ -350,7 +351,7 @@ impl<'a> Problem<'a> {
         }
         for (factor, distances) in self.factors.iter_mut().zip(distances) {
             if distances.len() >= ENOUGH {
-                *factor = (median(&distances) / (MEDIAN_DISTANCE * noise)).clamp(1.0, MOST);
+                *factor = (median(distances.iter().copied()) / (MEDIAN_DISTANCE * noise)).clamp(1.0, MOST);
             }
         }
     }

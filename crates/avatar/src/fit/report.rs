@@ -3,10 +3,10 @@
 use glam::DVec3;
 use serde::Serialize;
 
-use super::initial::median;
 use super::problem::{Problem, Window, landmarks_in};
 use crate::capture::LANDMARK_COUNT;
 use srflow_core::dense::{inverse, product, subtract_transposed_product};
+use srflow_core::median;
 use srflow_head::HeadState;
 
 /// How well a fit explains its landmarks, and what they determine.
@@ -133,7 +133,7 @@ impl Problem<'_> {
             }
         }
         let with_median = |(camera, distances): (CameraFit, Vec<f64>)| {
-            let median = if distances.is_empty() { f64::NAN } else { median(&distances) };
+            let median = if distances.is_empty() { f64::NAN } else { median(distances.iter().copied()) };
             CameraFit { median, ..camera }
         };
         report.cameras = distances.into_values().map(with_median).collect();

@@ -162,6 +162,22 @@ fn strain_is_written_as_an_array_and_a_picture() {
     assert_ne!(read_npy(&set.join("o.npy")).unwrap().values, strain.values);
     let full = json(set, &[&common[..], &["full.npy", "--size", "full"]].concat());
     assert_eq!((&full["width"], &full["height"]), (&96.into(), &96.into()));
+    // A file of the flow gives what the frames give.
+    succeeds(
+        &crate::srflow().current_dir(set).args(["flow", &onset, &apex, "-o", "flow.flo"]).output().unwrap(),
+    );
+    let of_flow = json(set, &["strain", "flow.flo", "--force", "-o", "of_flow.npy"]);
+    assert_eq!(read_npy(&set.join("of_flow.npy")).unwrap().values, strain.values, "{of_flow}");
+    // A crop to a box is the same before the flow is read as before it is estimated elsewhere.
+    let boxed =
+        json(set, &["strain", "flow.flo", "--face-box", "8,8,80x80", "--size", "full", "-o", "box.npy"]);
+    assert_eq!((&boxed["width"], &boxed["height"]), (&80.into(), &80.into()));
+    let cropped = json(set, &[&common[..], &["crop.npy", "--face-box", "8,8,80x80"]].concat());
+    assert!(cropped["max_strain"].as_f64().unwrap() > 0.0);
+    let none = srflow(set, &["strain", "flow.flo", "--resize", "before", "-o", "x.npy"]);
+    refuses(&none, 2, &["needs two frames", "flow.flo"]);
+    let outside = srflow(set, &["strain", "flow.flo", "--face-box", "90,0,9x9", "-o", "x.npy"]);
+    refuses(&outside, 1, &["does not lie in a frame of 96x96"]);
     let other = srflow(set, &["strain", &onset, "s.png", "-o", "x.npy"]);
     refuses(&other, 1, &["give two frames of one size"]);
 }

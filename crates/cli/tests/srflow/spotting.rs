@@ -5,6 +5,9 @@ use std::path::Path;
 use std::process::Output;
 use std::sync::LazyLock;
 
+use srflow_core::Image;
+use srflow_files::{read_image, write_image_png};
+
 use crate::{fails, refuses, succeeds};
 
 fn srflow(folder: &Path, arguments: &[&str]) -> Output {
@@ -56,8 +59,16 @@ fn expressions_of_a_rendered_video_are_spotted() {
     assert!(text.contains("1 videos, rule strict") && text.contains("overall"), "{text}");
 
     let signals = fs::read_to_string(set.join("spotted/s01.frames.csv")).unwrap();
-    assert!(signals.starts_with("frame,timestamp,head_x,head_y,inner-brow-left_x"), "{}", &signals[..80]);
+    assert!(
+        signals.starts_with("frame,timestamp,usable,head_x,head_y,inner-brow-left_x"),
+        "{}",
+        &signals[..80]
+    );
     assert_eq!(signals.lines().count(), 541);
+    let page = fs::read_to_string(set.join("spotted/s01.html")).unwrap();
+    let first = &events[0];
+    let jump = format!("data-seconds=\"{}\"", first["onset_seconds"]);
+    assert!(page.contains(&jump) && page.contains("set/s01/\" data-rate=\"30\""), "{jump}");
     assert!(fs::read_to_string(set.join("spotted/s01.eaf")).unwrap().contains("TIER_ID=\"ME\""));
 
     // A finished video is not spotted again; other settings need another folder.
@@ -77,6 +88,48 @@ fn expressions_of_a_rendered_video_are_spotted() {
     fs::write(set.join("spotted/s01.events.json"), "{").unwrap();
     let broken = fails(&srflow(set, &SPOT), 1);
     assert!(broken.contains("s01.events.json") && broken.contains("delete it"), "{broken}");
+}
+
+#[test]
+fn a_face_that_is_carried_through_the_picture_is_followed() {
+    let set = SET.path();
+    fs::create_dir(set.join("carried")).unwrap();
+    let landmarks = fs::read_to_string(set.join("set/landmarks.csv")).unwrap();
+    let mut rows = landmarks.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let (header, row) = (rows.next().unwrap(), rows.next().unwrap());
+    assert_eq!(header[0], "video");
+    let mut followed = header.join(",") + ",frame\n";
+    for frame in 1..=540_usize {
+        let name = format!("{frame:06}.png");
+        let face = read_image(&set.join("set/s01").join(&name)).unwrap();
+        let left = (60.0 + 60.0 * (frame as f64 / 60.0).sin()).round() as usize;
+        let place = |x: usize| x.wrapping_sub(left).min(face.width() - 1);
+        let wide = Image::from_fn(face.width() + 120, face.height(), |x, y| face.get(place(x), y));
+        write_image_png(&set.join("carried").join(&name), &wide).unwrap();
+        let cell = |(column, value): (&&str, &&str)| match column.starts_with("x_") {
+            true => (value.parse::<f64>().unwrap() + left as f64).to_string(),
+            false => value.replace("s01", "carried"),
+        };
+        let cells: Vec<String> = header.iter().zip(&row).map(cell).collect();
+        followed += &format!("{},{frame}\n", cells.join(","));
+    }
+    fs::write(set.join("carried.csv"), followed).unwrap();
+    let spot = ["spot", "carried", "--fps", "30", "--out", "followed"];
+    succeeds(&srflow(set, &[&spot[..], &["--landmarks", "carried.csv"]].concat()));
+    let events = fs::read_to_string(set.join("followed/events.csv")).unwrap().replace("carried", "s01");
+    fs::write(set.join("carried-events.csv"), events).unwrap();
+    let score = ["spot-score", "carried-events.csv", "--truth", "set/events.csv", "--json"];
+    let scores = crate::json(&srflow(set, &score));
+    assert!(scores["micro"]["recall"].as_f64().unwrap() >= 0.5, "{scores}");
+    let signals = fs::read_to_string(set.join("followed/carried.frames.csv")).unwrap();
+    assert!(signals.lines().skip(1).all(|line| line.split(',').nth(2) == Some("yes")), "it moves slowly");
+    // In a crop that stays where it is, the face moves too far.
+    fs::write(set.join("still.csv"), landmarks.replace("s01", "carried")).unwrap();
+    let still = ["spot", "carried", "--fps", "30", "--out", "unfollowed", "--landmarks", "still.csv"];
+    let output = srflow(set, &still);
+    succeeds(&output);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(said.contains("which stays where it is: follow the face"), "{said}");
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 
 use rayon::prelude::*;
 use serde::Serialize;
-use srflow_core::dense;
+use srflow_core::{dense, median};
 use srflow_data::micro_expression::intervals::ExpressionKind;
 
 use super::regions::{LIDS, REGIONS};
@@ -62,6 +62,9 @@ const LEAST_OF_LIDS: f64 = 0.3;
 /// Macro-expressions are compared with micro-expressions by this factor: where both fit, the shorter one is taken more easily.
 const MACRO_WEIGHT: f64 = 0.6;
 
+/// In so many of a macro-expression's frames the face is seen and steady; in a micro-expression's, in all.
+const LEAST_USABLE: f64 = 0.75;
+
 /// From the apex to the onset it is so many times as far as to the frame of half the height.
 const ONSET_OF_HALF: f64 = 1.85;
 
@@ -100,14 +103,21 @@ pub fn spot_events(
             ExpressionKind::Micro => settings.micro_score,
             ExpressionKind::Macro => settings.macro_score,
         };
-        let bumps = bumps(&motion, fps, side, kind, seconds);
+        let bumps = bumps(&motion, &signals.usable, fps, side, kind, seconds);
         candidates.extend(bumps.into_iter().filter(|bump| bump.score >= least));
     }
     candidates.sort_by(|a, b| b.rank().total_cmp(&a.rank()).then(a.at.cmp(&b.at)));
     let mut kept: Vec<SpottedEvent> = Vec::new();
     for bump in candidates {
         let Some(event) = bump.event(&motion, fps) else { continue };
-        if kept.iter().all(|other| event.offset < other.onset || event.onset > other.offset) {
+        let usable = signals.usable[event.onset..=event.offset].iter().filter(|usable| **usable).count();
+        let least = match event.kind {
+            ExpressionKind::Micro => 1.0,
+            ExpressionKind::Macro => LEAST_USABLE,
+        };
+        if usable as f64 >= least * (event.offset - event.onset + 1) as f64
+            && kept.iter().all(|other| event.offset < other.onset || event.onset > other.offset)
+        {
             kept.push(event);
         }
     }
@@ -142,14 +152,22 @@ struct Bump {
 }
 
 /// Bumps of one length, where they stand out more than a frame before and after.
-fn bumps(motion: &[RegionMotion], fps: f64, side: f64, kind: ExpressionKind, seconds: f64) -> Vec<Bump> {
+fn bumps(
+    motion: &[RegionMotion],
+    usable: &[bool],
+    fps: f64,
+    side: f64,
+    kind: ExpressionKind,
+    seconds: f64,
+) -> Vec<Bump> {
     let frames = motion.len();
     let mut fitted = filtered(motion, &weights(kind, seconds, fps));
     without_lids(&mut fitted);
     let heights: Vec<[f64; 16]> =
         fitted.iter().map(|regions| regions.map(|[u, v]| libm::hypot(u, v))).collect();
     let noise: [f64; 16] = std::array::from_fn(|region| {
-        let of = |axis: usize| deviation(fitted.iter().map(|regions| regions[region][axis]));
+        let known = || fitted.iter().zip(usable).filter(|(_, usable)| **usable);
+        let of = |axis: usize| deviation(known().map(|(regions, _)| regions[region][axis]));
         ((of(0) + of(1)) / 2.0).max(LEAST_NOISE * side)
     });
     let surroundings = match kind {
@@ -401,14 +419,4 @@ impl Surroundings {
 fn deviation(values: impl Iterator<Item = f64> + Clone) -> f64 {
     let middle = median(values.clone());
     1.4826 * median(values.map(|value| (value - middle).abs()))
-}
-
-/// 0 without values.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    let middle = values.len() / 2;
-    match values.is_empty() {
-        true => 0.0,
-        false => *values.select_nth_unstable_by(middle, f64::total_cmp).1,
-    }
 }

@@ -5,6 +5,7 @@ mod events;
 mod regions;
 mod score;
 mod signals;
+mod view;
 
 pub use elan::elan;
 pub use events::{SpottedEvent, SpottingSettings, spot_events};
@@ -12,4 +13,5 @@ pub use regions::{REGIONS, RegionBoxes, regions};
 pub use score::{
     Analysis, CountingRule, Counts, PredictedTypes, SpottingScores, TypeScores, retyped, score_intervals,
 };
-pub use signals::{RegionMotion, SignalRecorder, Signals};
+pub use signals::{RegionMotion, SignalError, SignalRecorder, Signals};
+pub use view::{FaceFollower, FaceView, Sight};

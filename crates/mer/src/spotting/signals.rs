@@ -1,8 +1,9 @@
 //! How the regions of a face move along a video.
 
 use srflow_core::{EstimateError, FlowEstimator, Image, Plane, SurfaceMotion};
+use srflow_face::FaceError;
 
-use super::regions::RegionBoxes;
+use super::view::{FaceView, Sight};
 use crate::head_motion::{HeadMotion, face};
 
 /// Motion of the 16 regions ([`REGIONS`](super::REGIONS)), in pixels.
@@ -12,21 +13,33 @@ pub type RegionMotion = [[f64; 2]; 16];
 const SEGMENT_SECONDS: f64 = 1.0;
 const OVERLAP_SECONDS: f64 = 0.2;
 
-/// The motion of a face along a video, since its first frame.
+/// The motion of a face along a video, since its first frame. Lengths are in pixels of the face's crop.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Signals {
     /// Of every frame: where the regions are, without the head's motion.
     pub regions: Vec<RegionMotion>,
     /// Of every frame: where the middle of the face is.
     pub head: Vec<[f64; 2]>,
+    /// Of every frame: whether its motion can be used. Where no face is seen, the motion stays as it was.
+    pub usable: Vec<bool>,
+}
+
+/// Why motion could not be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum SignalError {
+    /// The face cannot be cut out.
+    #[error(transparent)]
+    Face(#[from] FaceError),
+    /// The flow method failed.
+    #[error(transparent)]
+    Flow(#[from] EstimateError),
 }
 
 /// Measures [`Signals`] frame by frame. Flow is estimated from a reference frame, which changes every second: so errors do not add up from frame to frame,
-/// and the face never moves far.
+/// and the face never moves far. Each reference frame has its own view of the face.
 pub struct SignalRecorder<'a> {
     estimator: &'a dyn FlowEstimator,
     head_motion: HeadMotion,
-    boxes: RegionBoxes,
     mask: Option<Plane>,
     segment: usize,
     overlap: usize,
@@ -37,10 +50,12 @@ pub struct SignalRecorder<'a> {
     waiting: Vec<Position>,
     /// The same frames as the segment before sees them.
     seen_before: Vec<Position>,
+    last: Position,
     signals: Signals,
 }
 
 struct Segment {
+    view: FaceView,
     reference: Image,
     frames: usize,
     offset: Position,
@@ -67,18 +82,12 @@ impl Position {
 }
 
 impl<'a> SignalRecorder<'a> {
-    /// For faces with these regions, at so many frames per second.
-    pub fn new(
-        estimator: &'a dyn FlowEstimator,
-        head_motion: HeadMotion,
-        boxes: RegionBoxes,
-        fps: f64,
-    ) -> Self {
+    /// For videos at so many frames per second.
+    pub fn new(estimator: &'a dyn FlowEstimator, head_motion: HeadMotion, fps: f64) -> Self {
         let frames = |seconds: f64| ((seconds * fps).round() as usize).max(2);
         Self {
             estimator,
             head_motion,
-            boxes,
             mask: None,
             segment: frames(SEGMENT_SECONDS),
             overlap: frames(OVERLAP_SECONDS),
@@ -86,44 +95,66 @@ impl<'a> SignalRecorder<'a> {
             before: None,
             waiting: Vec::new(),
             seen_before: Vec::new(),
+            last: Position::ZERO,
             signals: Signals::default(),
         }
     }
 
-    /// Adds the next frame, cropped as all others.
+    /// Adds the next frame, as the face is seen in it. Frames before the first view are without a face.
     ///
     /// # Errors
-    /// When the flow method fails.
-    pub fn push(&mut self, frame: Image) -> Result<(), EstimateError> {
-        if self.head_motion == HeadMotion::Subtract && self.mask.is_none() {
-            self.mask = Some(face(frame.size()));
-        }
-        if let Some(segment) = self.current.take_if(|segment| segment.frames == self.segment) {
-            self.settle();
-            self.before = Some(segment);
+    /// When the flow method fails, or the face is not in the frame.
+    pub fn push(&mut self, frame: &Image, sight: Sight) -> Result<(), SignalError> {
+        let view = match (sight, &self.current) {
+            (Sight::Lost, _) | (Sight::Same, None) => {
+                self.settle();
+                self.current = None;
+                let last = self.last;
+                self.take(last, false);
+                return Ok(());
+            }
+            (Sight::Anew(view), _) => Some(*view),
+            (Sight::Same, Some(segment)) => (segment.frames >= self.segment).then(|| segment.view.clone()),
+        };
+        if let Some(view) = view {
+            self.begin(view, frame)?;
         }
         let (old, new) = rayon::join(
-            || self.before.as_ref().map(|segment| self.position(&segment.reference, &frame)).transpose(),
-            || self.current.as_ref().map(|segment| self.position(&segment.reference, &frame)).transpose(),
+            || self.before.as_ref().map(|segment| self.position(segment, frame)).transpose(),
+            || match &self.current {
+                Some(segment) if segment.frames > 0 => self.position(segment, frame),
+                _ => Ok(Position::ZERO),
+            },
         );
         let (old, new) = (old?, new?);
-        let position = new.unwrap_or(Position::ZERO);
-        let segment =
-            self.current.get_or_insert(Segment { reference: frame, frames: 0, offset: Position::ZERO });
-        segment.frames += 1;
+        let mut offset = Position::ZERO;
+        if let Some(segment) = &mut self.current {
+            segment.frames += 1;
+            offset = segment.offset;
+        }
         match (old, &self.before) {
             (Some(old), Some(before)) => {
                 self.seen_before.push(old.plus(&before.offset, 1.0));
-                self.waiting.push(position);
+                self.waiting.push(new);
                 if self.waiting.len() == self.overlap {
                     self.settle();
                 }
             }
-            _ => {
-                let offset = segment.offset;
-                self.take(position.plus(&offset, 1.0));
-            }
+            _ => self.take(new.plus(&offset, 1.0), true),
         }
+        Ok(())
+    }
+
+    /// Makes a frame the one that motion is measured from.
+    fn begin(&mut self, view: FaceView, frame: &Image) -> Result<(), FaceError> {
+        self.settle();
+        if self.head_motion == HeadMotion::Subtract && self.mask.is_none() {
+            self.mask = Some(face(view.size()));
+        }
+        self.before = self.current.take();
+        // Without a segment before, the face is taken to be as it was when it was last seen.
+        let segment = Segment { reference: view.cut(frame)?, view, frames: 0, offset: self.last };
+        self.current = Some(segment);
         Ok(())
     }
 
@@ -144,7 +175,7 @@ impl<'a> SignalRecorder<'a> {
             offset = offset.plus(&old, share).plus(new, -share);
         }
         for position in std::mem::take(&mut self.waiting) {
-            self.take(position.plus(&offset, 1.0));
+            self.take(position.plus(&offset, 1.0), true);
         }
         if let Some(segment) = &mut self.current {
             segment.offset = offset;
@@ -152,18 +183,20 @@ impl<'a> SignalRecorder<'a> {
         self.before = None;
     }
 
-    fn take(&mut self, Position { regions, head }: Position) {
-        self.signals.regions.push(regions);
-        self.signals.head.push(head);
+    fn take(&mut self, position: Position, seen: bool) {
+        self.last = position;
+        self.signals.regions.push(position.regions);
+        self.signals.head.push(position.head);
+        self.signals.usable.push(seen);
     }
 
-    fn position(&self, reference: &Image, frame: &Image) -> Result<Position, EstimateError> {
-        let flow = self.estimator.estimate(reference, frame)?;
+    fn position(&self, segment: &Segment, frame: &Image) -> Result<Position, SignalError> {
+        let flow = self.estimator.estimate(&segment.reference, &segment.view.cut(frame)?)?;
         let motion = match self.head_motion {
             HeadMotion::Keep => None,
             HeadMotion::Subtract => SurfaceMotion::fit(&flow, self.mask.as_ref()),
         };
-        let regions = self.boxes.map(|[[left, right], [top, bottom]]| {
+        let regions = segment.view.boxes().map(|[[left, right], [top, bottom]]| {
             let (mut sum, mut count) = ([0.0; 2], 0.0);
             for y in top..bottom.min(flow.height()) {
                 for x in left..right.min(flow.width()) {

@@ -5,10 +5,11 @@ use std::f64::consts::PI;
 use srflow_core::random::Key;
 use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
 use srflow_data::micro_expression::intervals::{ExpressionKind, Interval};
-use srflow_face::FrameCrop;
+use srflow_face::{FaceError, FacePoints, FrameCrop};
 use srflow_mer::HeadMotion;
 use srflow_mer::spotting::{
-    REGIONS, SignalRecorder, Signals, SpottedEvent, SpottingSettings, elan, regions, spot_events,
+    FaceFollower, FaceView, REGIONS, Sight, SignalRecorder, Signals, SpottedEvent, SpottingSettings, elan,
+    regions, spot_events,
 };
 
 const FPS: f64 = 30.0;
@@ -17,7 +18,8 @@ const SIDE: usize = 180;
 /// Twenty seconds of noise, with bumps: region, first frame, frames, height in pixels.
 fn signals(bumps: &[(usize, usize, usize, f64)]) -> Signals {
     let mut stream = Key::new(5).stream("noise");
-    let mut signals = Signals { regions: vec![[[0.0; 2]; 16]; 600], head: vec![[0.0; 2]; 600] };
+    let mut signals =
+        Signals { regions: vec![[[0.0; 2]; 16]; 600], head: vec![[0.0; 2]; 600], usable: vec![true; 600] };
     for value in signals.regions.as_flattened_mut().as_flattened_mut() {
         *value = 0.02 * f64::from(stream.normal());
     }
@@ -72,9 +74,22 @@ fn noise_blinks_and_speech_are_no_micro_expressions() {
 }
 
 #[test]
+fn nothing_is_spotted_where_no_face_is_seen() {
+    let mut hidden = signals(&[(0, 100, 12, 0.5), (11, 300, 9, 0.4)]);
+    hidden.usable[290..400].fill(false);
+    let events = spot_events(&hidden, FPS, SIDE, SpottingSettings::default());
+    let regions: Vec<_> = events.iter().map(|event| event.region).collect();
+    assert_eq!(regions, ["inner-brow-left"]);
+}
+
+#[test]
 fn short_videos_have_no_events() {
     for frames in 0..4 {
-        let few = Signals { regions: vec![[[0.0; 2]; 16]; frames], head: vec![[0.0; 2]; frames] };
+        let few = Signals {
+            regions: vec![[[0.0; 2]; 16]; frames],
+            head: vec![[0.0; 2]; frames],
+            usable: vec![true; frames],
+        };
         assert_eq!(spot_events(&few, FPS, SIDE, SpottingSettings::default()), []);
     }
 }
@@ -93,17 +108,26 @@ impl FlowEstimator for Written {
     }
 }
 
+fn frame_at(place: u8) -> Image {
+    Image::from_fn(4, 4, |_, _| [place; 3])
+}
+
 #[test]
 fn motion_is_relative_to_the_first_frame_across_segments() {
-    let boxes = [[[1, 3], [1, 3]]; 16];
     for frames in [1, 2, 11, 25, 57] {
-        let mut recorder = SignalRecorder::new(&Written, HeadMotion::Keep, boxes, 10.0);
+        let mut recorder = SignalRecorder::new(&Written, HeadMotion::Keep, 10.0);
         let places: Vec<u8> = (0..frames).map(|frame| 100 + (frame * 7 % 23) as u8).collect();
-        for place in &places {
-            recorder.push(Image::from_fn(4, 4, |_, _| [*place; 3])).unwrap();
+        let view = Box::new(FaceView::new(None, FrameCrop::Whole, &frame_at(0)).unwrap());
+        for (frame, place) in places.iter().enumerate() {
+            // Seen anew now and then, as a face that has moved.
+            let anew = frame % 9 == 0;
+            recorder
+                .push(&frame_at(*place), if anew { Sight::Anew(view.clone()) } else { Sight::Same })
+                .unwrap();
         }
         let signals = recorder.finish();
         assert_eq!((signals.regions.len(), signals.head.len()), (frames, frames));
+        assert_eq!(signals.usable, vec![true; frames]);
         for (regions, place) in signals.regions.iter().zip(&places) {
             let expected = f64::from(*place) - 100.0;
             for [u, v] in regions {
@@ -111,6 +135,64 @@ fn motion_is_relative_to_the_first_frame_across_segments() {
             }
         }
     }
+}
+
+#[test]
+fn motion_stays_as_it_was_while_no_face_is_seen() {
+    let view = Box::new(FaceView::new(None, FrameCrop::Whole, &frame_at(0)).unwrap());
+    let mut recorder = SignalRecorder::new(&Written, HeadMotion::Keep, 10.0);
+    let frames = [
+        (90, Sight::Lost),
+        (100, Sight::Anew(view.clone())),
+        (103, Sight::Same),
+        (200, Sight::Lost),
+        (50, Sight::Anew(view)),
+        (51, Sight::Same),
+    ];
+    for (place, sight) in frames {
+        recorder.push(&frame_at(place), sight).unwrap();
+    }
+    let signals = recorder.finish();
+    assert_eq!(signals.usable, [false, true, true, false, true, true]);
+    let moved: Vec<f64> = signals.regions.iter().map(|regions| regions[3][0]).collect();
+    assert_eq!(moved, [0.0, 0.0, 3.0, 3.0, 3.0, 4.0]);
+}
+
+/// A face that is looked for in every frame, at this column or nowhere: how it is seen, and whether it is steady.
+fn followed(columns: &[Option<f64>]) -> (Vec<Sight>, Vec<bool>) {
+    let frame = Image::from_fn(400, 300, |_, _| [0; 3]);
+    let mut follower = FaceFollower::new(5.0);
+    let points = |x: f64| FacePoints::of(&[[x, 120.0], [x + 40.0, 120.0]]).unwrap();
+    let mut follow = |x: &Option<f64>| follower.follow(&frame, || Ok::<_, FaceError>(x.map(points))).unwrap();
+    let sights = columns.iter().map(&mut follow).collect();
+    (sights, follower.steady().to_vec())
+}
+
+#[test]
+fn a_face_is_seen_anew_only_where_it_has_moved() {
+    // The crop is 100 px wide: 2 px are noise of the landmarks, 4 are motion.
+    let (sights, steady) =
+        followed(&[None, Some(150.0), Some(152.0), Some(154.0), None, Some(154.0), None, None, Some(154.0)]);
+    let words: Vec<&str> = sights
+        .iter()
+        .map(|sight| match sight {
+            Sight::Same => "same",
+            Sight::Anew(_) => "anew",
+            Sight::Lost => "lost",
+        })
+        .collect();
+    assert_eq!(words, ["lost", "anew", "same", "anew", "same", "same", "same", "lost", "anew"]);
+    let origins: Vec<[f64; 2]> = sights
+        .iter()
+        .filter_map(|sight| match sight {
+            Sight::Anew(view) => Some(view.crop().point([0.0, 0.0]).map(|at| -at)),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(steady, [true; 9], "it moves slowly");
+    let (_, steady) = followed(&[Some(150.0), Some(150.0), Some(160.0), Some(160.0)]);
+    assert_eq!(steady, [true, false, false, true], "ten pixels in a fifth of a second are fast");
+    assert_eq!(origins, [[120.0, 84.0], [124.0, 84.0], [124.0, 84.0]], "by whole pixels, exactly");
 }
 
 #[test]

@@ -1,5 +1,5 @@
-//! The page: one self-contained HTML file. It loads nothing from elsewhere; pictures are embedded as data URIs, charts are
-//! SVG.
+//! The page: one self-contained HTML file. It loads nothing from elsewhere, except the video beside a [`timeline`]; pictures are
+//! embedded as data URIs, charts are SVG.
 //!
 //! A [`Page`] holds [`Section`]s, a section holds [`Figure`]s. Figures can only be created by the functions here, which
 //! escape all text.
@@ -20,6 +20,7 @@ mod panels;
 mod picture;
 mod score_table;
 mod standalone;
+mod timeline;
 
 pub use action_cards::{ActionCard, action_cards};
 pub use bars::{Bar, bars};
@@ -36,3 +37,4 @@ pub use page::{Figure, Page, Section};
 pub use panels::{Panel, Strip, columns, panels, side_by_side, strips};
 pub use picture::{Picture, PictureError};
 pub use score_table::score_table;
+pub use timeline::{Footage, Lane, Mark, Timeline, timeline};

@@ -1,11 +1,14 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use srflow_core::printable;
 
-/// Pages load nothing and run no scripts.
+/// Pages load nothing and run no scripts, apart from the figures below.
 const POLICY: &str =
     "default-src 'none'; base-uri 'none'; form-action 'none'; style-src 'unsafe-inline'; img-src data:";
 /// A page [within a page](super::embedded) inherits the policy of the outer one and adds its own, which allows its own scripts alone.
 const POLICY_OF_EMBEDDED: &str = "; script-src 'unsafe-inline'; worker-src blob:; connect-src data:";
+/// A [timeline](super::timeline) shows a video from the user's disk, and its script moves it.
+const POLICY_OF_TIMELINE: &str = "; script-src 'unsafe-inline'; media-src file:";
+const PICTURES_OF_TIMELINE: &str = "img-src data: file:";
 
 /// A part of a page, created by one of the figure functions of this module.
 #[derive(Debug, Clone)]
@@ -50,10 +53,13 @@ impl Page {
     /// and what would reorder or hide them is spelt out.
     pub fn html(&self) -> String {
         let contents = self.sections.len() > 1;
-        let mut figures =
-            self.opening.iter().chain(self.sections.iter().flat_map(|section| &section.figures));
-        let embeds = figures.any(|figure| figure.0.0.contains("<iframe"));
-        let policy = [POLICY, if embeds { POLICY_OF_EMBEDDED } else { "" }].concat();
+        let figures = || self.opening.iter().chain(self.sections.iter().flat_map(|section| &section.figures));
+        let has = |element: &str| figures().any(|figure| figure.0.0.contains(element));
+        let policy = match (has("<iframe"), has("<figure class=\"timeline\"")) {
+            (_, true) => POLICY.replace("img-src data:", PICTURES_OF_TIMELINE) + POLICY_OF_TIMELINE,
+            (true, false) => POLICY.to_owned() + POLICY_OF_EMBEDDED,
+            (false, false) => POLICY.to_owned(),
+        };
         let page = html! {
             (DOCTYPE)
             html lang="en" {

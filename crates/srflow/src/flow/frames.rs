@@ -143,19 +143,6 @@ impl Source {
         }
     }
 
-    /// The first frame.
-    ///
-    /// # Errors
-    /// When it cannot be read.
-    pub fn first(&self) -> anyhow::Result<Image> {
-        let mut first = None;
-        self.read(0, 1, |frame| {
-            first = Some(frame);
-            false
-        });
-        Ok(first.context("expected a frame, found none")??.image)
-    }
-
     /// Reads every `stride`-th frame in order, after the first `skip`; `take` returns whether it wants more.
     pub fn read(&self, skip: u64, stride: usize, mut take: impl FnMut(anyhow::Result<Frame>) -> bool) {
         match self {

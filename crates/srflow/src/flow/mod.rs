@@ -272,7 +272,9 @@ fn estimate(job: &FlowJob, watch: &Watch) -> anyhow::Result<SequenceReport> {
     }
     let found = match job.face.is_whole() {
         true => None,
-        false => Some(job.face.of_first_frame(&source.first()?)?),
+        false => Some(
+            job.face.of_sequence(|take| source.read(0, 1, |frame| take(frame.map(|frame| frame.image))))?,
+        ),
     };
     if job.save_crops.is_some() && found.is_none() {
         wrong_settings!(

@@ -5,15 +5,17 @@ use std::path::PathBuf;
 
 use anyhow::ensure;
 use serde::{Deserialize, Serialize};
-use srflow_core::SettingError;
-use srflow_files::{read_image, write_image_png, write_npy, write_npy_plane};
+use srflow_core::resize::resize_cubic;
+use srflow_core::{FlowField, SettingError};
+use srflow_files::{read_flow, read_image, write_image_png, write_npy, write_npy_plane};
 use srflow_mer::{
     Channel, FEATURE_SIDE, FeatureSettings, HeadMotion, ResizeOrder, StrainFormula, SubtractedMotion,
-    features_of_frames, optical_strain, strain_colors,
+    features_of_flow, optical_strain, strain_colors,
 };
 
 use crate::clap::{Args, ValueEnum};
 use crate::error::wrong_settings;
+use crate::face::FaceArgs;
 use crate::methods::{self, MethodParameters, MethodSpec};
 use crate::output::{ensure_extension, ensure_free, write_line};
 use crate::{Job, Report, Watch};
@@ -25,16 +27,19 @@ Examples:
   srflow mer strain onset.png apex.png -o strain.npy --viz strain.png
   srflow mer strain onset.png apex.png -o strain.npy --formula off-tanet --method tvl1
   srflow mer strain onset.png apex.png -o strain.npy --size full
+  srflow mer strain onset.png apex.png -o strain.npy --face detect
+  srflow mer strain onset_to_apex.flo -o strain.npy
 
 The literature's formula is sqrt(ux^2 + vy^2 + (uy + vx)^2 / 2) with derivatives per pixel; off-tanet is what that \
 network's published code computes, including its error (see docs/explanation/micro-expression-protocol.md).")]
 pub struct StrainJob {
-    /// Onset frame
-    #[arg(value_name = "A")]
+    /// Onset frame, or a file of the flow from onset to apex
+    #[arg(value_name = "A|FLOW")]
     pub onset: PathBuf,
-    /// Apex frame
+    /// Apex frame; none after a flow file
     #[arg(value_name = "B")]
-    pub apex: PathBuf,
+    #[serde(default)]
+    pub apex: Option<PathBuf>,
     /// Strain as .npy array of shape (H, W)
     #[arg(short, long, value_name = "FILE")]
     pub out: PathBuf,
@@ -76,6 +81,9 @@ pub struct StrainJob {
     pub force: bool,
     #[command(flatten)]
     #[serde(flatten)]
+    pub face: FaceArgs,
+    #[command(flatten)]
+    #[serde(flatten)]
     pub parameters: MethodParameters,
 }
 
@@ -107,33 +115,22 @@ impl Job for StrainJob {
         if full && self.features.is_some() {
             wrong_settings!("`features` are 112x112: leave out `size`");
         }
-        let estimator = methods::estimator(&self.method, &self.parameters, watch)?;
         let outputs = [Some(&self.out), self.features.as_ref(), self.viz.as_ref()];
         for (path, extension) in outputs.into_iter().zip(["npy", "npy", "png"]) {
             path.map_or(Ok(()), |path| ensure_extension(path, extension))?;
         }
         ensure_free(outputs.into_iter().flatten(), self.force)?;
-        let (onset, apex) = (read_image(&self.onset)?, read_image(&self.apex)?);
-        ensure!(
-            onset.size() == apex.size() && !onset.pixels().is_empty(),
-            "{} is {}x{} and {} {}x{} (WIDTHxHEIGHT): give two frames of one size",
-            self.onset.display(),
-            onset.width(),
-            onset.height(),
-            self.apex.display(),
-            apex.width(),
-            apex.height()
-        );
         let settings = FeatureSettings {
             resize: self.resize.unwrap_or(FeatureSettings::default().resize),
             head_motion: self.head_motion,
             strain: self.formula,
         };
+        let (method, flow) = self.flow(settings.resize, watch)?;
         let (strain, subtracted) = if full {
-            let (flow, subtracted) = self.head_motion.applied(estimator.estimate(&onset, &apex)?);
+            let (flow, subtracted) = self.head_motion.applied(flow);
             (self.head_motion.within_face(optical_strain(&flow, self.formula)), subtracted)
         } else {
-            let (features, subtracted) = features_of_frames(&onset, &apex, estimator.as_ref(), settings)?;
+            let (features, subtracted) = features_of_flow(flow, settings)?;
             if let Some(path) = &self.features {
                 write_npy(path, &[3, FEATURE_SIDE, FEATURE_SIDE], features.values())?;
             }
@@ -146,7 +143,7 @@ impl Job for StrainJob {
         let pixels = strain.pixels();
         Ok(StrainReport {
             output: self.out.clone(),
-            method: estimator.name().to_owned(),
+            method,
             formula: self.formula,
             resize: (!full).then_some(settings.resize),
             head_motion: subtracted,
@@ -156,6 +153,49 @@ impl Job for StrainJob {
                 / pixels.len().max(1) as f64,
             max_strain: pixels.iter().copied().fold(0.0, f32::max),
         })
+    }
+}
+
+impl StrainJob {
+    /// The flow from onset to apex within the face, and the name of its method.
+    fn flow(&self, resize: ResizeOrder, watch: &Watch) -> anyhow::Result<(String, FlowField)> {
+        let Some(apex) = &self.apex else { return Ok(("the file".to_owned(), self.flow_of_file()?)) };
+        let estimator = methods::estimator(&self.method, &self.parameters, watch)?;
+        let (onset, apex) = (read_image(&self.onset)?, read_image(apex)?);
+        ensure!(
+            onset.size() == apex.size() && !onset.pixels().is_empty(),
+            "{} is {}x{} and the other frame {}x{} (WIDTHxHEIGHT): give two frames of one size",
+            self.onset.display(),
+            onset.width(),
+            onset.height(),
+            apex.width(),
+            apex.height()
+        );
+        let crop = self.face.of_sequence(|take| _ = take(Ok(onset.clone())))?.crop;
+        let mut faces = [crop.apply(&onset)?, crop.apply(&apex)?];
+        if self.size == StrainSize::Features && resize == ResizeOrder::Before {
+            faces = faces.map(|face| resize_cubic(&face, (FEATURE_SIDE, FEATURE_SIDE)));
+        }
+        let [onset, apex] = &faces;
+        Ok((estimator.name().to_owned(), estimator.estimate(onset, apex)?))
+    }
+
+    /// The flow that was given in place of two frames.
+    fn flow_of_file(&self) -> anyhow::Result<FlowField> {
+        if self.resize == Some(ResizeOrder::Before) {
+            wrong_settings!("`resize` before needs two frames; {} is one file of flow", self.onset.display());
+        }
+        let flow = read_flow(&self.onset)?;
+        match self.face.still_box() {
+            Ok(None) => Ok(flow),
+            Ok(Some(face)) => {
+                face.check_inside(flow.size())?;
+                Ok(flow.crop(face.left, face.top, face.width, face.height))
+            }
+            Err(setting) => {
+                wrong_settings!("`{setting}` needs frames; {} is flow: give `face_box`", self.onset.display())
+            }
+        }
     }
 }
 

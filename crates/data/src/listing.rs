@@ -11,6 +11,9 @@ pub const IMAGES: &[&str] = &IMAGE_EXTENSIONS;
 
 pub const FLOWS: &[&str] = &["flo", "flo5", "png", "png128", "pfm", "npy", "npz", "npz16"];
 
+/// Extensions of videos.
+pub const VIDEOS: &[&str] = &["mp4", "avi", "mov", "mkv", "mts", "mpg", "mpeg", "wmv", "webm"];
+
 /// Natural order: runs of digits compare by value, so that `frame10` comes after `frame9`.
 pub fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut a_rest, mut b_rest) = (a.as_bytes(), b.as_bytes());
@@ -113,7 +116,6 @@ pub fn stem(path: &Path) -> String {
 pub fn unread_files(dir: &Path) -> Option<String> {
     const PICTURES: [&str; 11] =
         ["gif", "heic", "heif", "avif", "jp2", "jxl", "tga", "exr", "hdr", "dng", "raw"];
-    const VIDEOS: [&str; 9] = ["mp4", "avi", "mov", "mkv", "mts", "mpg", "mpeg", "wmv", "webm"];
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
     for path in visible(dir).ok()?.iter().filter(|path| path.is_file()) {
         let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();

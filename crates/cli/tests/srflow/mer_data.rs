@@ -116,7 +116,7 @@ fn missing_frames_stop_unless_allowed() {
 fn wrong_usage_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let mer = |arguments: &[&str]| srflow(folder.path(), arguments);
-    refuses(&mer(&["data", "casme3:x"]), 2, &["casme2[-raw|-cropped]"]);
+    refuses(&mer(&["data", "casme4:x"]), 2, &["casme2[-raw|-cropped]"]);
     let error = fails(&mer(&["data", "samm:nowhere"]), 1);
     assert!(error.contains("nowhere: ") && error.matches("os error").count() <= 1, "named once: {error}");
     let other = mer(&["data", "clips:x", "--annotations", "samm:y"]);

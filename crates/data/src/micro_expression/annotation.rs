@@ -37,6 +37,9 @@ pub struct Dropped {
 #[serde(rename_all = "kebab-case")]
 pub enum DropReason {
     Label,
+    SeveralClasses,
+    FramesUnknown,
+    FramesOutOfOrder,
     ApexUnknown,
     ApexNotAfterOnset,
     NotInApexList,
@@ -47,6 +50,9 @@ impl fmt::Display for DropReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
             Self::Label => "the label belongs to none of the classes",
+            Self::SeveralClasses => "its emotions belong to several classes, or one of them to none",
+            Self::FramesUnknown => "the onset or offset is not a frame number",
+            Self::FramesOutOfOrder => "the offset is not after the onset",
             Self::ApexUnknown => "the apex is not a frame number",
             Self::ApexNotAfterOnset => "the apex is not after the onset",
             Self::NotInApexList => "not one of the 157 clips of the published apex list",

@@ -13,7 +13,7 @@ use srflow_files::{FileKind, read_text};
 use super::MicroExpressionError;
 
 /// Built-in class sets: name, description, file.
-pub const CLASS_SETS: [(&str, &str, &str); 7] = [
+pub const CLASS_SETS: [(&str, &str, &str); 13] = [
     (
         "3",
         "negative, positive, surprise, as in MEGC 2019 and the SRFlow paper",
@@ -27,6 +27,24 @@ pub const CLASS_SETS: [(&str, &str, &str); 7] = [
     ),
     ("samm-4", "SAMM's anger, happiness, surprise, contempt", include_str!("classes/samm-4.toml")),
     ("samm-5", "SAMM's anger, happiness, surprise, contempt, other", include_str!("classes/samm-5.toml")),
+    ("casme-4", "CASME's disgust, repression, surprise, tense", include_str!("classes/casme-4.toml")),
+    ("casme3-4", "CAS(ME)³'s negative, positive, surprise, others", include_str!("classes/casme3-4.toml")),
+    (
+        "casme3-7",
+        "CAS(ME)³'s disgust, surprise, others, fear, anger, sad, happy",
+        include_str!("classes/casme3-7.toml"),
+    ),
+    ("mmew-4", "MMEW's happiness, surprise, disgust, others", include_str!("classes/mmew-4.toml")),
+    (
+        "4dme-5",
+        "4DME's negative, positive, surprise, repression, others",
+        include_str!("classes/4dme-5.toml"),
+    ),
+    (
+        "dfme-7",
+        "DFME's anger, contempt, disgust, fear, happiness, sadness, surprise",
+        include_str!("classes/dfme-7.toml"),
+    ),
     (
         "objective-5",
         "objective classes I to V of SAMM and CASME II, as in MEGC 2018",
@@ -270,8 +288,10 @@ fn units(coded: &str) -> Option<Vec<u32>> {
             continue;
         }
         let part = part.strip_prefix("ref(").and_then(|part| part.strip_suffix(')')).unwrap_or(part);
-        // Unilateral left and right, asymmetric, top, bottom.
-        let bare = part.strip_prefix(['L', 'R', 'A', 'T', 'B']).unwrap_or(part);
+        // Action units, action descriptors, movements; else unilateral left and right, asymmetric, top, bottom.
+        let bare =
+            ["AU", "AD", "M", "L", "R", "A", "T", "B"].iter().find_map(|prefix| part.strip_prefix(prefix));
+        let bare = bare.unwrap_or(part);
         let end = bare.find(|c: char| !c.is_ascii_digit()).unwrap_or(bare.len());
         let (number, intensity) = bare.split_at(end);
         if !intensity.chars().all(|c| matches!(c, 'A'..='E' | '/')) {
@@ -312,6 +332,8 @@ mod tests {
             ("ref(7B)+43C", Some(vec![7, 43])),
             ("R14+17+soft focus", Some(vec![14, 17])),
             ("L1+L1", Some(vec![1])),
+            ("R4+AD38+M58", Some(vec![4, 38, 58])),
+            ("AU4+AU7(k)", None),
             ("", Some(vec![])),
             ("?", None),
             ("(R6 or R12) + R15", None),
@@ -374,7 +396,7 @@ mod tests {
             let error = Classes::parse("mine", &text).unwrap_err();
             assert!(error.contains(expected), "{error}");
         }
-        let unknown = Classes::open("casme-5").unwrap_err().to_string();
-        assert!(unknown.contains("casme-5: expected 3, megc2019, casme2-5, samm-4"), "{unknown}");
+        let unknown = Classes::open("casme-9").unwrap_err().to_string();
+        assert!(unknown.contains("casme-9: expected 3, megc2019, casme2-5, samm-4"), "{unknown}");
     }
 }

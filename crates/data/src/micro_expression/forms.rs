@@ -11,7 +11,8 @@ pub struct Form {
 }
 
 /// Those that a user may mistake for one another.
-pub static FORMS: [&Form; 5] = [&SAMM, &CASME2, &SMIC, &SAMM_LONG, &CASME3];
+pub static FORMS: [&Form; 10] =
+    [&SAMM, &CASME2, &SMIC, &SAMM_LONG, &CASME3, &CASME3_MICRO, &CASME3_C, &CASME, &FOUR_DME, &DFME];
 
 pub static SAMM: Form = Form {
     kind: "samm",
@@ -60,8 +61,61 @@ pub static SAMM_LONG: Form = Form {
     columns: &["Subject", "Filename", "Onset", "Apex", "Offset", "Type", "Action Units"],
 };
 
+pub static SMIC_VIS: Form = Form {
+    kind: "smic-vis",
+    called: "SMIC-VIS's annotations (SMIC-VIS-E_annotation.xlsx)",
+    columns: SMIC_COLUMNS,
+};
+
+pub static SMIC_NIR: Form = Form {
+    kind: "smic-nir",
+    called: "SMIC-NIR's annotations (SMIC-NIR-E_annotation.xlsx)",
+    columns: SMIC_COLUMNS,
+};
+
+const SMIC_COLUMNS: &[&str] = &["Subject", "Filename", "OnsetF", "OffsetF", "FirstF", "Emotion"];
+
+pub static CASME: Form = Form {
+    kind: "casme",
+    called: "CASME's annotations (casme.xlsx)",
+    columns: &["Subject", "Filename", "OnsetF", "ApexF1", "OffsetF", "AU", "Emotion"],
+};
+
+/// Without a header row.
+pub const CASME_SQUARED: &str = "CAS(ME)²'s annotations (CAS(ME)^2code_final.xlsx)";
+
+/// Of whole videos.
 pub static CASME3: Form = Form {
     kind: "casme3",
-    called: "the expressions of CAS(ME)³, part A (CAS(ME)3_part_A_v2.xls, saved as .xlsx)",
+    called: "the expressions of CAS(ME)³, part A (CAS(ME)3_part_A_v2.xls)",
     columns: &["Subject", "Filename", "Onset", "Apex", "Offset", "AU", "Expression type"],
+};
+
+/// Of micro-expressions alone.
+pub static CASME3_MICRO: Form = Form {
+    kind: "casme3",
+    called: "the micro-expressions of CAS(ME)³, part A (cas(me)3_part_A_ME_label_JpgIndex_v2.xlsx)",
+    columns: &["Subject", "Filename", "Onset", "Apex", "Offset", "AU", "Objective class", "emotion"],
+};
+
+pub static CASME3_C: Form = Form {
+    kind: "casme3-c",
+    called: "the micro-expressions of CAS(ME)³, part C (CAS(ME)3_part_C_ME.xlsx)",
+    columns: &["sub", "count", "onset", "offset", "au", "emotion"],
+};
+
+/// The columns are those of CASME II.
+pub static MMEW: Form =
+    Form { kind: "mmew", called: "MMEW's annotations (MMEW_Micro_Exp.xlsx)", columns: CASME2.columns };
+
+pub static FOUR_DME: Form = Form {
+    kind: "4dme",
+    called: "4DME's annotations (4DME_Labelling_Micro_release v1.xlsx)",
+    columns: &["sub_ID", "fold_name", "Emotion", "Onset", "Apex", "Offset", "AUs"],
+};
+
+pub static DFME: Form = Form {
+    kind: "dfme",
+    called: "DFME's annotations (training_full_with_AU.xlsx, testA_full_with_AU.xlsx, testB_full_with_AU.xlsx)",
+    columns: &["Subject", "Filename", "OnsetFrame", "ApexFrame", "OffsetFrame", "Emotion", "Fps", "AU"],
 };

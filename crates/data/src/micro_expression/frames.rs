@@ -8,28 +8,36 @@ use srflow_core::excerpt;
 use super::{Annotation, Clip, DropReason, Dropped, MicroExpressionError, MissingFrames};
 use crate::{FrameNames, listing};
 
-/// The folders of a dataset's clips, in the annotations' order; they need not exist.
+/// The folders of a dataset's clips, or the videos, in the annotations' order; they need not exist.
 pub struct ClipFolders {
     pub folders: Vec<PathBuf>,
     /// The parent of the subjects' folders.
     pub root: PathBuf,
     /// The published form of the dataset.
     pub form: &'static str,
+    /// Whether a folder holds the frames of its clip alone. If they are as many as from onset to offset but numbered otherwise, the first
+    /// is the onset.
+    pub alone: bool,
 }
 
-/// The first of `places` below `dir` (name and form) that contains the folder of any clip.
-pub fn below(
+/// The first of `places` below `dir` (name and form) that contains the folder of any clip. `folders` are where a clip may be below such a
+/// place; the first that exists counts.
+pub fn below<const N: usize>(
     kind: &'static str,
     dir: &Path,
     places: &[(&str, &'static str)],
     annotations: &[Annotation],
-    folder: impl Fn(&Path, &Annotation) -> PathBuf,
+    folders: impl Fn(&Path, &Annotation) -> [PathBuf; N],
 ) -> Result<ClipFolders, MicroExpressionError> {
+    let folder = |root: &Path, annotation: &Annotation| {
+        let folders = folders(root, annotation);
+        folders.iter().find(|folder| folder.exists()).unwrap_or(&folders[0]).clone()
+    };
     for &(place, form) in places {
         let root = if place.is_empty() { dir.to_owned() } else { dir.join(place) };
         let folders: Vec<PathBuf> = annotations.iter().map(|annotation| folder(&root, annotation)).collect();
-        if folders.iter().any(|folder| folder.is_dir()) {
-            return Ok(ClipFolders { folders, root, form });
+        if folders.iter().any(|folder| folder.exists()) {
+            return Ok(ClipFolders { folders, root, form, alone: false });
         }
     }
     let first = annotations.first().map(|annotation| folder(Path::new(""), annotation)).unwrap_or_default();
@@ -98,6 +106,9 @@ pub fn locate(
     for (mut annotation, folder) in annotations.into_iter().zip(&found.folders) {
         let place = frames_of_videos.get(folder).unwrap_or(folder);
         let mut frames = if place.is_dir() { numbered_frames(place)? } else { BTreeMap::new() };
+        if found.alone {
+            frames = counted_from(frames, annotation.onset, annotation.offset);
+        }
         frames.retain(|number, _| (annotation.onset..=annotation.offset).contains(number));
         if only_key_frames && annotation.apex.is_none() {
             annotation.apex = only_frame_between(&frames, annotation.onset, annotation.offset);
@@ -139,6 +150,15 @@ pub fn locate(
         }
     }
     Ok(located)
+}
+
+/// The frames of one clip, numbered from the onset if their own numbers are others and they are as many as the clip has.
+fn counted_from(frames: BTreeMap<u64, PathBuf>, onset: u64, offset: u64) -> BTreeMap<u64, PathBuf> {
+    let as_many = u64::try_from(frames.len()) == Ok((offset - onset).saturating_add(1));
+    match as_many && frames.range(onset..=offset).next().is_none() {
+        true => (onset..).zip(frames.into_values()).collect(),
+        false => frames,
+    }
 }
 
 /// The only frame between two others; `None` if there are more or none.

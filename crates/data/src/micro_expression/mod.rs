@@ -5,22 +5,32 @@
 
 mod annotation;
 mod apex_list;
+mod casme;
 mod casme2;
+mod casme3;
+mod casme3_c;
+mod casme_squared;
+mod cells;
 mod class;
 mod classes;
 mod clip;
 mod coded;
 mod composite;
+mod dfme;
 mod error;
 mod forms;
+mod four_dme;
 mod frames;
 pub mod intervals;
+mod mmew;
 mod plain;
+mod release;
 mod samm;
 mod sheet;
 mod smic;
 mod source;
 mod table;
+mod xls;
 mod xlsx;
 
 use std::collections::BTreeSet;
@@ -41,15 +51,17 @@ use frames::{Located, locate};
 use srflow_core::{excerpt, excerpts, is_unprintable};
 
 /// The annotations of a dataset.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Labels {
     /// Name of the dataset, e.g. `casme2`; for a plain one the name of its folder.
     pub dataset: String,
-    /// The annotation file; `None` when the folder names hold the annotations.
+    /// The annotation file, or the first of several; `None` when the folder names hold the annotations.
     pub file: Option<PathBuf>,
     /// The clips that belong to a class, in file order.
     pub annotations: Vec<Annotation>,
     pub dropped: Vec<Dropped>,
+    /// What was repaired, with numbers of rows.
+    pub notes: Vec<String>,
 }
 
 impl Labels {
@@ -118,6 +130,8 @@ pub struct ClipDataset {
     pub clips: Vec<Clip>,
     /// Rows dropped by label or for missing frames.
     pub dropped: Vec<Dropped>,
+    /// What was repaired in the annotations, with numbers of rows.
+    pub notes: Vec<String>,
     /// Every clip with a missing frame between onset and offset.
     pub missing: Vec<MissingFrames>,
 }
@@ -146,6 +160,7 @@ impl ClipDataset {
             file: labels.file,
             clips,
             dropped: labels.dropped,
+            notes: labels.notes,
             missing,
         })
     }

@@ -20,6 +20,7 @@ pub(super) const KIND: ClipKind = ClipKind {
     about: "your own clips, listed in a clips.csv",
     published: None,
     megc2019: None,
+    takes_apex_list: false,
     labels: read,
     folders,
 };
@@ -34,10 +35,11 @@ impl ClipSource {
         Self::new(&KIND, dir)
     }
 
-    /// Where the clips of these annotations are if they are plain ones, which may be folders and videos.
-    pub fn plain_places(&self, annotations: &[Annotation]) -> Vec<PathBuf> {
+    /// Where the clips of these annotations are: folders, or videos. Empty if none is found.
+    pub fn places(&self, annotations: &[Annotation]) -> Vec<PathBuf> {
         if self.kind != &KIND {
-            return Vec::new();
+            let found = (self.kind.folders)(self, annotations);
+            return found.map(|found| found.folders).unwrap_or_default();
         }
         let root = root_of(self);
         annotations.iter().map(|annotation| root.join(&annotation.clip)).collect()
@@ -93,7 +95,7 @@ fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
             offset,
         });
     }
-    Ok(Labels { dataset: name_of(&file), file: Some(file), annotations, dropped })
+    Ok(Labels { dataset: name_of(&file), file: Some(file), annotations, dropped, notes: Vec::new() })
 }
 
 /// The class named by a row, or matched by the data of the clip. Every clip must have one of the default classes, so that a
@@ -127,7 +129,7 @@ fn root_of(source: &ClipSource) -> PathBuf {
 }
 
 fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {
-    let (root, folders) = (root_of(source), source.plain_places(annotations));
+    let (root, folders) = (root_of(source), source.places(annotations));
     let found = |folder: &PathBuf| folder.is_dir() || source.frames_of_videos.contains_key(folder);
     if let Some(first) = folders.first()
         && !folders.iter().any(found)
@@ -141,7 +143,7 @@ fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolder
             ),
         });
     }
-    Ok(ClipFolders { folders, root, form: "" })
+    Ok(ClipFolders { folders, root, form: "", alone: false })
 }
 
 /// Writes a CSV file for the kind `clips`, whole or not at all.

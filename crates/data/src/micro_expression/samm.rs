@@ -16,13 +16,16 @@ pub(super) const KIND: ClipKind = ClipKind {
     about: "SAMM",
     published: Some([92, 26, 15]),
     megc2019: Some([92, 26, 15]),
+    takes_apex_list: true,
     labels: |source| coded::read(&CODING, source),
     folders,
 };
 
 const CODING: Coding = Coding {
     form: &forms::SAMM,
-    frames: ["Onset Frame", "Apex Frame", "Offset Frame"],
+    onset: "Onset Frame",
+    apex: Some("Apex Frame"),
+    offset: "Offset Frame",
     subject_digits: 3,
     emotions: &[
         "anger",
@@ -36,11 +39,13 @@ const CODING: Coding = Coding {
         "others",
     ],
     emotions_called: "SAMM's eight",
-    apex_may_be_unknown: false,
+    frames_may_be_wrong: false,
     objective: Objective::Column("Objective Classes"),
+    ..Coding::COMMON
 };
 
 fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {
-    let folder = |root: &Path, annotation: &Annotation| root.join(&annotation.subject).join(&annotation.clip);
+    let folder =
+        |root: &Path, annotation: &Annotation| [root.join(&annotation.subject).join(&annotation.clip)];
     below("samm", &source.dir, &[("", ""), ("SAMM", "")], annotations, folder)
 }

@@ -7,16 +7,17 @@ use srflow_core::{excerpt, excerpts};
 use srflow_files::{CsvTable, FileKind, read_file, whole_number};
 
 use super::MicroExpressionError;
+use super::cells::Cells;
 use super::forms::{FORMS, Form};
 use super::source::ClipSource;
-use super::xlsx::{Cells, read_workbook};
+use super::{xls, xlsx};
 use crate::listing;
 
 /// Number of rows in which the header is looked for.
 const HEADER_ROWS: u32 = 40;
 
-/// The first bytes of the files of old Office programs.
-const OLD_EXCEL: &[u8] = b"\xd0\xcf\x11\xe0";
+/// The first bytes of the files of old Office programs, whatever their names end in.
+const COMPOUND: &[u8] = b"\xd0\xcf\x11\xe0";
 
 /// A table with named columns.
 #[derive(Debug)]
@@ -72,6 +73,11 @@ impl<'a> Row<'a> {
         }
     }
 
+    /// Number of the row in its file, from 1.
+    pub fn number(self) -> usize {
+        self.number
+    }
+
     /// An error about this row.
     pub fn wrong(self, reason: String) -> MicroExpressionError {
         MicroExpressionError::Row {
@@ -93,22 +99,18 @@ pub fn read_spreadsheet(form: &Form, source: &ClipSource) -> Result<Table, Micro
     }
 }
 
+/// All spreadsheets of this form in the folder of `source`, or the one that it names.
+pub fn read_spreadsheets(form: &Form, source: &ClipSource) -> Result<Vec<Table>, MicroExpressionError> {
+    if let Some(path) = &source.annotations {
+        return Ok(vec![read_form(form, path)?]);
+    }
+    let tables = spreadsheets_in(form, &source.dir)?;
+    if tables.is_empty() { Err(none_fits(form, &source.dir)) } else { Ok(tables) }
+}
+
 /// The spreadsheet of this form in a folder, or the CSV file, if there is one.
 pub fn spreadsheet_in(form: &Form, dir: &Path) -> Result<Option<Table>, MicroExpressionError> {
-    let mut fitting: Vec<Table> = Vec::new();
-    let spreadsheets = listing::files(dir, &["xlsx"])?;
-    // Names that start with ~$ are lock files of office programs.
-    for path in spreadsheets.iter().filter(|path| !listing::name(path).starts_with("~$")) {
-        match read_form(form, path) {
-            Ok(table) => fitting.push(table),
-            Err(MicroExpressionError::Columns { .. }) => {}
-            Err(error) => return Err(error),
-        }
-    }
-    if fitting.is_empty() {
-        let tables = listing::files(dir, &["csv"])?;
-        fitting.extend(tables.iter().filter_map(|path| read_form(form, path).ok()));
-    }
+    let mut fitting = spreadsheets_in(form, dir)?;
     if let [first, second, ..] = &fitting[..] {
         let found = format!(
             "both {} and {} match: choose one with `annotations` {}:FILE",
@@ -121,7 +123,35 @@ pub fn spreadsheet_in(form: &Form, dir: &Path) -> Result<Option<Table>, MicroExp
     Ok(fitting.pop())
 }
 
-fn none_fits(form: &Form, dir: &Path) -> MicroExpressionError {
+/// The .xlsx spreadsheets of this form in a folder, or else the .xls ones, or else the CSV files.
+fn spreadsheets_in(form: &Form, dir: &Path) -> Result<Vec<Table>, MicroExpressionError> {
+    for ending in ["xlsx", "xls"] {
+        let mut fitting: Vec<Table> = Vec::new();
+        for path in spreadsheet_files(dir, &[ending])? {
+            match read_form(form, &path) {
+                Ok(table) => fitting.push(table),
+                Err(MicroExpressionError::Columns { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        if !fitting.is_empty() {
+            return Ok(fitting);
+        }
+    }
+    let tables = listing::files(dir, &["csv"])?;
+    Ok(tables.iter().filter_map(|path| read_form(form, path).ok()).collect())
+}
+
+/// The spreadsheets in a folder.
+pub fn spreadsheet_files(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, MicroExpressionError> {
+    let mut files = listing::files(dir, endings)?;
+    // Names that start with ~$ are lock files of office programs.
+    files.retain(|path| !listing::name(path).starts_with("~$"));
+    Ok(files)
+}
+
+/// No spreadsheet of this form is in a folder.
+pub fn none_fits(form: &Form, dir: &Path) -> MicroExpressionError {
     let spreadsheets = listing::files(dir, &["xlsx", "xls"]).unwrap_or_default();
     let names: Vec<String> = spreadsheets.iter().map(|path| listing::name(path)).collect();
     let there = match &names[..] {
@@ -191,14 +221,14 @@ pub fn read_sheets(path: &Path) -> Result<Vec<Cells>, MicroExpressionError> {
         return Ok(vec![csv_sheet(path)?]);
     }
     let bytes = read_file(path, FileKind::Spreadsheet)?;
-    let wrong = |reason: String| MicroExpressionError::Table { path: path.to_owned(), reason };
-    if bytes.starts_with(OLD_EXCEL) {
-        return Err(wrong(
-            "expected an .xlsx spreadsheet or a .csv file, found an .xls: save it as .xlsx".into(),
-        ));
+    let wrong = |form: &str, reason: String| MicroExpressionError::Table {
+        path: path.to_owned(),
+        reason: format!("expected a valid {form} spreadsheet: {}", excerpt(&reason)),
+    };
+    match bytes.starts_with(COMPOUND) {
+        true => xls::read_workbook(bytes).map_err(|reason| wrong(".xls", reason)),
+        false => xlsx::read_workbook(bytes).map_err(|reason| wrong(".xlsx", reason)),
     }
-    read_workbook(bytes)
-        .map_err(|reason| wrong(format!("expected a valid .xlsx spreadsheet: {}", excerpt(&reason))))
 }
 
 /// All rows of a CSV file.

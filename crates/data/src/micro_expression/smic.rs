@@ -1,8 +1,8 @@
-//! SMIC-HS (Li et al. 2013), extended or short recordings.
+//! SMIC (Li et al. 2013): SMIC-HS, SMIC-VIS and SMIC-NIR, extended or short recordings.
 //!
 //! Extended: spreadsheet `SMIC-HS-E_annotation.xlsx`, sheet HS; frames `SMIC_HS_E/sSS/CLIP/imageFRAME.jpg`. Short: frames
 //! `HS/SUBJECT/micro/CLASS/CLIP/*`, from onset to offset. A subject below 10 is `1` in the clip names of one form and `01` in
-//! those of the other, so names are compared by their parts.
+//! those of the other, so names are compared by their parts. VIS and NIR have the same names below folders of their own.
 //!
 //! The class is taken from the clip's name: the spreadsheet's column lists s18_sur_03 as negative. There is no annotated apex;
 //! a list of apex frames, as published with CapsuleNet for micro-expressions (Quang et al. 2019), is read if present.
@@ -10,10 +10,11 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use super::apex_list::ApexList;
 use super::classes::Coded;
-use super::forms;
+use super::forms::{self, Form};
 use super::frames::{ClipFolders, numbered_frames};
-use super::sheet::{Table, read_csv, read_spreadsheet, spreadsheet_in};
+use super::sheet::{Row, Table, none_fits, read_form, read_spreadsheet, spreadsheet_files, spreadsheet_in};
 use super::{
     Annotation, ClipKind, ClipSource, DropReason, Dropped, EmotionClass, Labels, MicroExpressionError,
 };
@@ -25,8 +26,77 @@ pub(super) const KIND: ClipKind = ClipKind {
     about: "SMIC-HS, extended or short",
     published: Some([65, 51, 41]),
     megc2019: Some([70, 51, 43]),
-    labels: read,
-    folders,
+    takes_apex_list: true,
+    labels: |source| read(&HS, source),
+    folders: |source, annotations| folders(&HS, source, annotations),
+};
+
+pub(super) const VIS_KIND: ClipKind = ClipKind {
+    name: "smic-vis",
+    about: "SMIC-VIS, extended or short",
+    published: None,
+    megc2019: None,
+    labels: |source| read(&VIS, source),
+    folders: |source, annotations| folders(&VIS, source, annotations),
+    ..KIND
+};
+
+pub(super) const NIR_KIND: ClipKind = ClipKind {
+    name: "smic-nir",
+    about: "SMIC-NIR, extended or short",
+    labels: |source| read(&NIR, source),
+    folders: |source, annotations| folders(&NIR, source, annotations),
+    ..VIS_KIND
+};
+
+/// What the recordings of a camera are called.
+struct Camera {
+    form: &'static Form,
+    /// Part of the spreadsheet's name, where its columns are those of the other cameras.
+    spreadsheet: &'static str,
+    /// Where spreadsheets are.
+    annotations: &'static [&'static str],
+    /// Places of the subjects' folders.
+    extended: &'static [&'static str],
+    short: &'static [&'static str],
+}
+
+const HS: Camera = Camera {
+    form: &forms::SMIC,
+    spreadsheet: "",
+    annotations: &[""],
+    extended: &["", "SMIC_HS_E", "HS_long/SMIC_HS_E"],
+    short: &["", "HS", "SMIC_all_cropped/HS", "SMIC_all_raw/HS"],
+};
+
+const VIS: Camera = Camera {
+    form: &forms::SMIC_VIS,
+    spreadsheet: "VIS",
+    annotations: &["", "VIS_long", "SMIC-E_raw image/VIS_long"],
+    extended: &[
+        "",
+        "VIS",
+        "SMIC-VIS-E/VIS",
+        "VIS_long/SMIC-VIS-E/VIS",
+        "SMIC-E_raw image/VIS_long/SMIC-VIS-E/VIS",
+        "VIS_long/SMIC_VIS_E",
+    ],
+    short: &["", "VIS", "SMIC_all_cropped/VIS", "SMIC_all_raw/VIS"],
+};
+
+const NIR: Camera = Camera {
+    form: &forms::SMIC_NIR,
+    spreadsheet: "NIR",
+    annotations: &["", "NIR_long", "SMIC-E_raw image/NIR_long"],
+    extended: &[
+        "",
+        "NIR",
+        "SMIC-NIR-E/NIR",
+        "NIR_long/SMIC-NIR-E/NIR",
+        "SMIC-E_raw image/NIR_long/SMIC-NIR-E/NIR",
+        "NIR_long/SMIC_NIR_E",
+    ],
+    short: &["", "NIR", "SMIC_all_cropped/NIR", "SMIC_all_raw/NIR"],
 };
 
 const APEX_LISTS: [&str; 2] = ["smic_apex.csv", "data_apex.csv"];
@@ -84,21 +154,56 @@ impl Key {
     }
 }
 
-fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
+fn read(camera: &Camera, source: &ClipSource) -> Result<Labels, MicroExpressionError> {
     let Rows { file, mut annotations, dropped } = if source.annotations.is_some() {
-        of_table(source, read_spreadsheet(&forms::SMIC, source)?)?
-    } else if let Some(table) = spreadsheet_in(&forms::SMIC, &source.dir)? {
+        of_table(source, read_spreadsheet(camera.form, source)?)?
+    } else if let Some(table) = camera.spreadsheet_in(&source.dir)? {
         of_table(source, table)?
-    } else if let Some(root) = short_root(&source.dir)? {
+    } else if let Some(root) = camera.short_root(&source.dir)? {
         of_short_clips(source, &root)?
     } else {
-        of_table(source, read_spreadsheet(&forms::SMIC, source)?)?
+        return Err(none_fits(camera.form, &source.dir));
     };
-    let beside = || APEX_LISTS.iter().map(|name| source.dir.join(name)).find(|path| path.is_file());
-    if let Some(list) = source.apex_list.clone().or_else(beside) {
-        add_apexes(&list, &mut annotations)?;
+    let beside = if source.kind == &KIND { &APEX_LISTS[..] } else { &[] };
+    let apexes = ApexList::of(source, beside)?;
+    for Annotation { subject, clip, onset, offset, apex, .. } in &mut annotations {
+        *apex = apexes.apex(subject, clip, [*onset, *offset])?;
     }
-    Ok(Labels { dataset: "smic".to_owned(), file, annotations, dropped })
+    let dataset = source.kind.name.to_owned();
+    Ok(Labels { dataset, file, annotations, dropped, notes: Vec::new() })
+}
+
+impl Camera {
+    fn spreadsheet_in(&self, dir: &Path) -> Result<Option<Table>, MicroExpressionError> {
+        if self.spreadsheet.is_empty() {
+            return spreadsheet_in(self.form, dir);
+        }
+        for place in self.annotations {
+            let place = dir.join(place);
+            let files =
+                if place.is_dir() { spreadsheet_files(&place, &["xlsx", "xls", "csv"])? } else { Vec::new() };
+            let named = |path: &&PathBuf| listing::name(path).to_uppercase().contains(self.spreadsheet);
+            for path in files.iter().filter(named) {
+                match read_form(self.form, path) {
+                    Err(MicroExpressionError::Columns { .. }) => {}
+                    table => return table.map(Some),
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    /// The parent of the subjects' folders of the short recordings, if present.
+    fn short_root(&self, dir: &Path) -> Result<Option<PathBuf>, MicroExpressionError> {
+        for place in self.short {
+            let root = dir.join(place);
+            if root.is_dir() && listing::folders(&root)?.iter().any(|subject| subject.join("micro").is_dir())
+            {
+                return Ok(Some(root));
+            }
+        }
+        Ok(None)
+    }
 }
 
 /// The annotations of the spreadsheet or the clips' folders.
@@ -129,7 +234,8 @@ impl Rows {
 
     /// The class of a clip; one that has none, or is left out of the published list, is dropped.
     fn class(&mut self, source: &ClipSource, key: Key, clip: &str, label: &str) -> Option<usize> {
-        let left_out = !source.classes.are_of_megc2019() && NOT_IN_APEX_LIST.contains(&key);
+        let listed = source.kind == &KIND;
+        let left_out = listed && !source.classes.are_of_megc2019() && NOT_IN_APEX_LIST.contains(&key);
         let class = match left_out {
             true => Err(DropReason::NotInApexList),
             false => key.class(source).ok_or(DropReason::Label),
@@ -140,7 +246,10 @@ impl Rows {
 
 fn of_table(source: &ClipSource, table: Table) -> Result<Rows, MicroExpressionError> {
     let mut rows = Rows::default();
-    for row in table.rows() {
+    // The sheets of VIS and NIR end with notes.
+    let is_clip = |row: &Row| !row.text("Filename").is_empty() && !row.text("OnsetF").is_empty();
+    let notes = |row: &Row| source.kind != &KIND && !is_clip(row);
+    for row in table.rows().filter(|row| !notes(row)) {
         let clip = row.filled("Filename")?.to_owned();
         let label = row.text("Emotion").to_owned();
         let Some(key) = Key::of(&clip) else {
@@ -159,17 +268,6 @@ fn of_table(source: &ClipSource, table: Table) -> Result<Rows, MicroExpressionEr
     }
     rows.file = Some(table.path);
     Ok(rows)
-}
-
-/// The parent of the subjects' folders of the short recordings, if present.
-fn short_root(dir: &Path) -> Result<Option<PathBuf>, MicroExpressionError> {
-    for place in ["", "HS", "SMIC_all_cropped/HS", "SMIC_all_raw/HS"] {
-        let root = dir.join(place);
-        if root.is_dir() && listing::folders(&root)?.iter().any(|subject| subject.join("micro").is_dir()) {
-            return Ok(Some(root));
-        }
-    }
-    Ok(None)
 }
 
 /// The clips' folders of the short recordings.
@@ -219,55 +317,34 @@ fn of_short_clips(source: &ClipSource, root: &Path) -> Result<Rows, MicroExpress
     Ok(rows)
 }
 
-/// Sets the apex of each clip from a list with the columns data, clip and apex_frame; rows of other datasets are ignored.
-fn add_apexes(list: &Path, annotations: &mut [Annotation]) -> Result<(), MicroExpressionError> {
-    let table = read_csv("smic", list, &["data", "clip", "apex_frame"])?;
-    let mut apexes = BTreeMap::new();
-    for row in table.rows().filter(|row| row.text("data").eq_ignore_ascii_case("smic")) {
-        let Some(key) = Key::of(row.text("clip")) else {
-            return Err(
-                row.wrong(format!("clip: expected a name like s20_ne_01, found `{}`", row.text("clip")))
-            );
-        };
-        apexes.insert(key.order(), (row, row.frame("apex_frame")?));
-    }
-    for annotation in annotations {
-        let apex = Key::of(&annotation.clip).and_then(|key| apexes.get(&key.order()));
-        if let Some(&(row, apex)) = apex {
-            let Annotation { onset, offset, clip, .. } = annotation;
-            if apex <= *onset || apex > *offset {
-                return Err(row.wrong(format!(
-                    "apex_frame: expected a frame after the onset {onset} and not after the offset {offset} of {clip}, \
-                     found {apex}"
-                )));
-            }
-            annotation.apex = Some(apex);
-        }
-    }
-    Ok(())
-}
-
-fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {
+fn folders(
+    camera: &Camera,
+    source: &ClipSource,
+    annotations: &[Annotation],
+) -> Result<ClipFolders, MicroExpressionError> {
     let dir = &source.dir;
     let mut found = BTreeMap::new();
-    let (root, form) = match short_root(dir)? {
+    let (root, form) = match camera.short_root(dir)? {
         Some(root) => {
             found.extend(short_clips(&root)?.into_iter().map(|(key, folder)| (key.order(), folder)));
             (root, "short")
         }
         None => {
-            let places = ["", "SMIC_HS_E", "HS_long/SMIC_HS_E"].map(|place| dir.join(place));
+            let places: Vec<PathBuf> = camera.extended.iter().map(|place| dir.join(place)).collect();
             let holds_clips = |root: &&PathBuf| !extended_clips(root).unwrap_or_default().is_empty();
             let Some(root) = places.iter().find(holds_clips) else {
-                let found = listing::contents(dir);
+                let short = camera.short[1];
                 return Err(MicroExpressionError::NoFolders {
-                    kind: "smic",
+                    kind: source.kind.name,
                     looked_for: format!(
                         "{} or {}",
                         places[2].join("s01/s1_ne_01").display(),
-                        dir.join("HS/s1/micro/negative").display()
+                        dir.join(short).join("s1/micro/negative").display()
                     ),
-                    found: format!("{found}. Give the folder that contains HS_long or HS"),
+                    found: format!(
+                        "{}. Give the folder that contains {short}_long or {short}",
+                        listing::contents(dir)
+                    ),
                 });
             };
             found.extend(extended_clips(root)?.into_iter().map(|(key, folder)| (key.order(), folder)));
@@ -280,7 +357,8 @@ fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolder
         let key = Key::of(&annotation.clip).map(Key::order);
         key.and_then(|key| found.get(&key)).cloned().unwrap_or_else(|| expected(annotation))
     };
-    Ok(ClipFolders { folders: annotations.iter().map(folder).collect(), root: root.clone(), form })
+    let folders = annotations.iter().map(folder).collect();
+    Ok(ClipFolders { folders, root: root.clone(), form, alone: false })
 }
 
 #[cfg(test)]

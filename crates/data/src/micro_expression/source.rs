@@ -18,6 +18,8 @@ pub struct ClipKind {
     pub published: Option<[usize; 3]>,
     /// The counts of MEGC 2019's list.
     pub megc2019: Option<[usize; 3]>,
+    /// Whether a list of apex frames may be given.
+    pub takes_apex_list: bool,
     pub(super) labels: fn(&ClipSource) -> Result<Labels, MicroExpressionError>,
     pub(super) folders: fn(&ClipSource, &[Annotation]) -> Result<ClipFolders, MicroExpressionError>,
 }
@@ -48,13 +50,16 @@ pub struct ClipSource {
     pub dir: PathBuf,
     /// The annotation file, if elsewhere.
     pub annotations: Option<PathBuf>,
-    /// The list of apex frames for SMIC, if elsewhere.
+    /// A list of apex frames, for clips whose annotated apex cannot be used. SMIC's own is found in its folder.
     pub apex_list: Option<PathBuf>,
+    /// Whether apexes are spotted later: keep clips whose annotated apex cannot be used, unless the published list of `classes` leaves
+    /// them out.
+    pub spots_apexes: bool,
     pub classes: Classes,
     /// Require only the onset and apex frames of a clip. Without an annotated apex, it is the single frame between onset and
     /// offset.
     pub only_key_frames: bool,
-    /// Folders with the frames of plain clips that are videos, by the video's path: its first frame is number 1.
+    /// Folders with the frames of clips that are videos, by the video's path: its first frame is number 1.
     pub frames_of_videos: BTreeMap<PathBuf, PathBuf>,
 }
 
@@ -67,10 +72,17 @@ impl ClipSource {
             dir: dir.to_owned(),
             annotations: None,
             apex_list: None,
+            spots_apexes: false,
             classes: Classes::default(),
             only_key_frames: false,
             frames_of_videos: BTreeMap::new(),
         }
+    }
+
+    /// Whether the classes come with a published list of this dataset's clips.
+    pub fn published_list(&self) -> bool {
+        let listed = self.classes.are_default() || self.classes.are_of_megc2019();
+        listed && self.kind.published.is_some()
     }
 }
 

@@ -1,6 +1,8 @@
 //! Excel workbooks (`.xlsx`: ECMA-376, part 1, section 18): only the text of the cells of every sheet.
 //!
-//! Whatever a file claims, no more than [`Budget`] is inflated, kept or repeated.
+//! Whatever a file claims, no more than [`MAX_INFLATED`] is inflated, and no more than a [`Budget`] is kept.
+//!
+//! Not calamine: it reserves what a sheet claims, makes every sheet a full rectangle, and inflates without a limit.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Cursor, Read};
@@ -12,37 +14,10 @@ use quick_xml::events::{BytesStart, Event};
 use zip::ZipArchive;
 use zip::result::ZipError;
 
-/// Text of the cells by row and column, both from 0, without empty cells.
-pub(super) type Cells = BTreeMap<u32, BTreeMap<u32, String>>;
+use super::cells::{Budget, Cells, MAX_SHEETS, number_text};
 
-const MAX_SHEETS: usize = 64;
-/// Limits on rows and columns.
-const MAX_ROWS: u32 = 100_000;
-const MAX_COLUMNS: u32 = 256;
-
-/// Limits on a workbook. The published ones inflate to 0.2 MB and contain 5,000 cells.
-struct Budget {
-    inflated: u64,
-    cells: usize,
-    /// Bytes of the cells' text: many cells may share one string of the file.
-    text: usize,
-}
-
-impl Budget {
-    const WHOLE: Self = Self { inflated: 32 << 20, cells: 500_000, text: 32 << 20 };
-
-    fn take_cell(&mut self, text: &str) -> Result<(), String> {
-        let (cells, bytes) = (self.cells.checked_sub(1), self.text.checked_sub(text.len()));
-        match (cells, bytes) {
-            (Some(cells), Some(bytes)) => (self.cells, self.text) = (cells, bytes),
-            _ => {
-                let Self { cells, text, .. } = Self::WHOLE;
-                return Err(format!("more than {cells} cells or {} MiB of text", text >> 20));
-            }
-        }
-        Ok(())
-    }
-}
+/// Limit on what the parts of a workbook inflate to. Those of the published ones inflate to 0.4 MB.
+const MAX_INFLATED: u64 = 32 << 20;
 
 /// The cells of every worksheet, in workbook order.
 ///
@@ -51,8 +26,9 @@ impl Budget {
 pub(super) fn read_workbook(bytes: Vec<u8>) -> Result<Vec<Cells>, String> {
     let mut workbook = Workbook {
         archive: srflow_files::open_zip(bytes).map_err(|error| error.to_string())?,
-        left: Budget::WHOLE,
+        inflatable: MAX_INFLATED,
     };
+    let mut left = Budget::WHOLE;
     let targets = relationships(&workbook.needed("xl/_rels/workbook.xml.rels")?)?;
     let sheets = sheet_relationships(&workbook.needed("xl/workbook.xml")?)?;
     let strings = workbook.part("xl/sharedStrings.xml")?;
@@ -72,14 +48,15 @@ pub(super) fn read_workbook(bytes: Vec<u8>) -> Result<Vec<Cells>, String> {
             continue; // a chart
         }
         let text = workbook.needed(&name)?;
-        found.push(cells(&text, &strings, &mut workbook.left)?);
+        found.push(cells(&text, &strings, &mut left)?);
     }
     Ok(found)
 }
 
 struct Workbook {
     archive: ZipArchive<Cursor<Vec<u8>>>,
-    left: Budget,
+    /// How much may still be inflated.
+    inflatable: u64,
 }
 
 impl Workbook {
@@ -92,12 +69,12 @@ impl Workbook {
         };
         let mut bytes = Vec::new();
         // The directory's size is only a claim: the output is counted.
-        let count = entry.take(self.left.inflated + 1).read_to_end(&mut bytes);
+        let count = entry.take(self.inflatable + 1).read_to_end(&mut bytes);
         let count = count.map_err(|error| format!("{name}: {error}"))? as u64;
-        self.left.inflated =
-            self.left.inflated.checked_sub(count).ok_or_else(|| {
-                format!("its parts inflate to more than {} MiB", Budget::WHOLE.inflated >> 20)
-            })?;
+        self.inflatable = self
+            .inflatable
+            .checked_sub(count)
+            .ok_or_else(|| format!("its parts inflate to more than {} MiB", MAX_INFLATED >> 20))?;
         let text = String::from_utf8(bytes).map_err(|_| format!("{name}: expected UTF-8"))?;
         Ok(Some(text))
     }
@@ -239,10 +216,7 @@ fn cells(text: &str, strings: &[String], left: &mut Budget) -> Result<Cells, Str
             Event::Start(tag) if tag.local_name().as_ref() == "c" => {
                 (row, column) = place(&tag)?.unwrap_or((row, column));
                 let text = cell_text(&mut xml, &tag, strings)?;
-                if row < MAX_ROWS && column < MAX_COLUMNS && !text.trim().is_empty() {
-                    left.take_cell(&text)?;
-                    cells.entry(row).or_default().insert(column, text);
-                }
+                left.keep(&mut cells, (row, column), &text)?;
                 column = column.saturating_add(1);
             }
             Event::Empty(tag) if tag.local_name().as_ref() == "c" => {
@@ -298,8 +272,7 @@ fn cell_text(xml: &mut Xml, tag: &BytesStart, strings: &[String]) -> Result<Stri
         Some("b") => (value != "0").to_string(),
         Some("e") => String::new(),
         Some("str" | "d") => value,
-        // Prints whole numbers without a fraction, for frame numbers.
-        Some("n") | None => value.parse::<f64>().map_or(value, |number| number.to_string()),
+        Some("n") | None => value.parse::<f64>().map_or(value, number_text),
         Some(other) => return Err(format!("a cell of the unknown type `{}`", srflow_core::excerpt(other))),
     })
 }

@@ -107,7 +107,7 @@ impl Job for ApexJob {
         outputs().try_for_each(|path| ensure_extension(path, "csv"))?;
         ensure_free(outputs(), self.force)?;
         let estimator = methods::estimator(&self.method, &self.parameters, watch)?;
-        let (datasets, _frames) = self.sources.open(&self.datasets, watch)?;
+        let (datasets, _frames) = self.sources.open(&self.datasets, true, watch)?;
         let clips: Vec<&Clip> = datasets.iter().flat_map(|dataset| &dataset.clips).collect();
         let landmarks = || self.out.as_deref().unwrap_or("apexes".as_ref()).with_extension("landmarks.csv");
         let face = self.face.of_clips(clips.iter().copied(), landmarks, self.force, watch)?;

@@ -68,15 +68,15 @@ impl Job for DataJob {
 impl DataJob {
     fn list(&self, mut source: ClipSource, watch: &Watch) -> anyhow::Result<ListedDataset> {
         if self.labels_only {
-            let Labels { dataset, file, annotations, dropped } =
-                Labels::read(&source).with_context(|| format!("reading {source}"))?;
-            return Ok(ListedDataset::new(source, dataset, "", file, &annotations, dropped, Vec::new()));
+            let labels = Labels::read(&source).with_context(|| format!("reading {source}"))?;
+            return Ok(ListedDataset::new(source, "", labels, Vec::new()));
         }
         let frames = folder_for_frames()?;
         let dataset = self.sources.open_one(&mut source, frames.path(), watch)?;
-        let ClipDataset { name, form, file, clips, dropped, missing, .. } = dataset;
+        let ClipDataset { name, form, file, clips, dropped, notes, missing, .. } = dataset;
         let annotations: Vec<Annotation> = clips.into_iter().map(|clip| clip.annotation).collect();
-        Ok(ListedDataset::new(source, name, form, file, &annotations, dropped, missing))
+        let labels = Labels { dataset: name, file, annotations, dropped, notes };
+        Ok(ListedDataset::new(source, form, labels, missing))
     }
 }
 
@@ -113,6 +113,8 @@ pub struct ListedDataset {
     pub labels: BTreeMap<String, LabelCounts>,
     pub clips: Vec<ListedClip>,
     pub dropped: Vec<Dropped>,
+    /// What was repaired in the annotations.
+    pub notes: Vec<String>,
     pub missing_frames: u64,
     #[serde(serialize_with = "clips_with_gaps")]
     pub missing: Vec<MissingFrames>,
@@ -194,22 +196,15 @@ impl Counts {
 }
 
 impl ListedDataset {
-    fn new(
-        source: ClipSource,
-        name: String,
-        form: &'static str,
-        file: Option<PathBuf>,
-        annotations: &[Annotation],
-        dropped: Vec<Dropped>,
-        missing: Vec<MissingFrames>,
-    ) -> Self {
+    fn new(source: ClipSource, form: &'static str, labels: Labels, missing: Vec<MissingFrames>) -> Self {
+        let Labels { dataset: name, file, annotations, dropped, notes } = labels;
         let classes = &source.classes;
         let class = |annotation: &Annotation| classes.names()[annotation.class].clone();
-        let counts = Counts::new(classes, &count_classes(classes, annotations));
+        let counts = Counts::new(classes, &count_classes(classes, &annotations));
         let published = published_counts(classes, &name).map(|counts| Counts::new(classes, &counts));
 
         let mut labels: BTreeMap<String, LabelCounts> = BTreeMap::new();
-        for annotation in annotations {
+        for annotation in &annotations {
             let label = labels.entry(annotation.label.clone()).or_default();
             *label.kept.entry(class(annotation)).or_default() += 1;
         }
@@ -239,6 +234,7 @@ impl ListedDataset {
             labels,
             clips: annotations.iter().map(clip).collect(),
             dropped,
+            notes,
             missing_frames: missing.iter().map(MissingFrames::count).fold(0, u64::saturating_add),
             missing,
             published,
@@ -272,7 +268,19 @@ impl ListedDataset {
         if self.without_apex > 0 {
             writeln!(f, "  no apex      {} clips; `srflow mer apex` spots them", self.without_apex)?;
         }
+        for note in &self.notes {
+            write_line(f, format_args!("  note         {note}"))?;
+        }
         write_dropped(f, &self.dropped)?;
+        let unusable = [DropReason::ApexUnknown, DropReason::ApexNotAfterOnset];
+        let unusable = self.dropped.iter().filter(|row| unusable.contains(&row.reason)).count();
+        if unusable > 0 && !source.published_list() {
+            let total = self.counts.total + unusable;
+            writeln!(
+                f,
+                "  apexes       {unusable} cannot be used; with spotted ones (`srflow mer apex`) {total} clips"
+            )?;
+        }
         if !labels_only {
             writeln!(f, "  missing      {missing_frames} frames of {} clips", self.missing.len())?;
             for clip in &self.missing {

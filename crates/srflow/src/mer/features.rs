@@ -100,7 +100,7 @@ impl Job for FeaturesJob {
         let methods = estimators.iter().zip(records.clone());
         let methods: Vec<RunMethod> =
             methods.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record }).collect();
-        let (datasets, _frames) = self.sources.open(&self.data, watch)?;
+        let (datasets, _frames) = self.sources.open(&self.data, self.preparation.apex.is_some(), watch)?;
         let landmarks = || self.out.with_extension("landmarks.csv");
         let protocol = self.preparation.protocol.unwrap_or_default();
         let preparation = self.preparation.preparation(protocol, &datasets, landmarks, self.force, watch)?;

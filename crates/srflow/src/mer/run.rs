@@ -156,7 +156,7 @@ impl Job for RunJob {
         let records = methods::records(&specs, &self.parameters, watch)?;
         let methods = estimators.iter().zip(records);
         let methods = methods.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record });
-        let (datasets, _frames) = self.sources.open(&self.data, watch)?;
+        let (datasets, _frames) = self.sources.open(&self.data, self.preparation.apex.is_some(), watch)?;
         settings.check(&datasets)?;
         create_folder(&self.out)?; // before the long work, so that an error costs nothing
         let landmarks = || self.out.join("landmarks.csv");

@@ -21,10 +21,11 @@ use crate::video::{VideoReader, is_video};
 #[derive(Args, Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SourceArgs {
-    /// Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE
+    /// Annotation file outside its dataset's folder, such as samm:FILE or clips:FILE
     #[arg(long, value_name = "KIND:FILE")]
     pub annotations: Vec<String>,
-    /// CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder]
+    /// CSV list of apex frames, for clips without a usable one [default: SMIC's smic_apex.csv or data_apex.csv in its
+    /// folder]
     #[arg(long, value_name = "FILE")]
     pub apex_list: Option<PathBuf>,
     /// Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md)
@@ -79,13 +80,11 @@ impl SourceArgs {
             source.annotations = Some(file.into());
         }
         if let Some(list) = &self.apex_list {
-            let Some(smic) = sources.iter_mut().find(|source| source.kind.name == "smic") else {
-                bail!(
-                    "`apex_list` {}: it is for SMIC, and none of the datasets is of the kind `smic`; clips.csv has a column apex",
-                    list.display()
-                );
-            };
-            smic.apex_list = Some(list.clone());
+            let mut taking = sources.iter_mut().filter(|source| source.kind.takes_apex_list).peekable();
+            if taking.peek().is_none() {
+                bail!("`apex_list` {}: no dataset takes it; clips.csv has a column apex", list.display());
+            }
+            taking.for_each(|source| source.apex_list = Some(list.clone()));
         }
         for source in &mut sources {
             source.classes = classes.clone();
@@ -94,17 +93,20 @@ impl SourceArgs {
         Ok(sources)
     }
 
-    /// Opens the datasets. The frames of clips that are videos lie in the folder that is returned.
+    /// Opens the datasets; with `spots_apexes`, clips without a usable apex are kept where no published list leaves them out. The frames of
+    /// clips that are videos lie in the folder that is returned.
     ///
     /// # Errors
     /// Those of [`ClipDataset::open`], when two have the same name, or when a video cannot be read.
     pub(super) fn open(
         &self,
         sources: &[ClipSource],
+        spots_apexes: bool,
         watch: &Watch,
     ) -> anyhow::Result<(Vec<ClipDataset>, TempDir)> {
         let frames = folder_for_frames()?;
         let mut sources = self.complete(sources)?;
+        sources.iter_mut().for_each(|source| source.spots_apexes = spots_apexes);
         let open = |source| self.open_one(source, frames.path(), watch);
         let datasets = sources.iter_mut().map(open).collect::<anyhow::Result<Vec<_>>>()?;
         check_distinct(datasets.iter().map(|dataset| dataset.name.as_str()))?;
@@ -136,7 +138,7 @@ pub(super) fn folder_for_frames() -> anyhow::Result<TempDir> {
 fn unpack_videos(source: &mut ClipSource, into: &Path, watch: &Watch) -> anyhow::Result<()> {
     let annotations = Labels::read(source)?.annotations;
     let mut videos = BTreeMap::<PathBuf, Vec<RangeInclusive<u64>>>::new();
-    for (annotation, place) in annotations.iter().zip(source.plain_places(&annotations)) {
+    for (annotation, place) in annotations.iter().zip(source.places(&annotations)) {
         if is_video(&place) && place.is_file() {
             videos.entry(place).or_default().push(annotation.onset..=annotation.offset);
         }
@@ -164,7 +166,7 @@ fn unpack_videos(source: &mut ClipSource, into: &Path, watch: &Watch) -> anyhow:
 
 /// Help on the names of datasets and classes.
 pub fn kinds_help() -> String {
-    let line = |name: String, about: &str| format!("  {name:<22} {about}\n");
+    let line = |name: String, about: &str| format!("  {name:<29} {about}\n");
     let kinds: String = CLIP_KINDS.iter().map(|kind| line(kind.to_string(), kind.about)).collect();
     let classes: String = CLASS_SETS.iter().map(|(name, about, _)| line((*name).to_owned(), about)).collect();
     format!("Kinds of dataset:\n{kinds}\nClasses:\n{}", classes.trim_end_matches('\n'))

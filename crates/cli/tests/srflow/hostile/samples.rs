@@ -204,6 +204,7 @@ pub(super) fn samples(folder: &Path) -> Vec<Sample> {
     });
     let sheet = &["mer", "data", "--labels-only", "--clips", "smic:DIR", "--annotations", "smic:FILE"];
     samples.push(Sample { name: "xlsx", bytes: workbook(&[]), file: "a.xlsx", arguments: sheet });
+    samples.push(Sample { name: "xls", bytes: old_workbook(), file: "a.xls", arguments: sheet });
     let predictions = "method,set,dataset,subject,clip,truth,epoch,predicted,score_negative,score_positive,\
                        score_surprise\nm,s,d,1,a,negative,5,negative,1,0,0\nm,s,d,2,b,positive,5,surprise,0,0,1\n";
     let tables = &["mer", "tables", "FILE"];
@@ -588,6 +589,36 @@ pub(super) fn workbook(parts: &[(&str, String)]) -> Vec<u8> {
         .map(|(name, text)| ((*name).to_owned(), text.clone().into_bytes()))
         .collect();
     archive(&parts)
+}
+
+/// The same in the records of old Excel: shared strings, a short number and a whole one.
+fn old_workbook() -> Vec<u8> {
+    let texts = ["Subject", "Filename", "OnsetF", "OffsetF", "Onset2F", "Emotion", "s01_ne_01", "negative"];
+    let record = |kind: u16, content: &[u8]| {
+        [&kind.to_le_bytes()[..], &u16::try_from(content.len()).unwrap().to_le_bytes(), content].concat()
+    };
+    let cell = |kind: u16, row: u8, column: u8, value: &[u8]| {
+        record(kind, &[&[row, 0, column, 0, 0, 0][..], value].concat())
+    };
+    let text = |text: &str| [&[text.len() as u8, 0, 0][..], text.as_bytes()].concat();
+    let table = [vec![8, 0, 0, 0, 8, 0, 0, 0], texts.iter().flat_map(|name| text(name)).collect()].concat();
+    let (begin, end) = (record(0x809, &[0, 6]), record(0x00a, &[]));
+    let header = (0..6).map(|at| cell(0x0fd, 0, at, &[at, 0, 0, 0]));
+    let row = [
+        cell(0x203, 1, 0, &1_f64.to_le_bytes()),
+        cell(0x0fd, 1, 1, &[6, 0, 0, 0]),
+        record(0x0bd, &[1, 0, 2, 0, 0, 0, 3 << 2 | 2, 0, 0, 0, 0, 0, 9 << 2 | 2, 0, 0, 0, 3, 0]),
+        cell(0x0fd, 1, 5, &[7, 0, 0, 0]),
+    ];
+    let sheet: Vec<u8> = header.chain(row).flatten().collect();
+    let at = begin.len() + 10 + 4 + table.len() + end.len();
+    let listed = record(0x085, &[&(at as u32).to_le_bytes()[..], &[0, 0]].concat());
+    let stream =
+        [&begin, &listed, &record(0x0fc, &table), &end, &begin, &sheet, &end].map(Vec::as_slice).concat();
+    let mut file = cfb::CompoundFile::create(Cursor::new(Vec::new())).unwrap();
+    file.create_stream("/Workbook").unwrap().write_all(&stream).unwrap();
+    file.flush().unwrap();
+    file.into_inner().into_inner()
 }
 
 pub(super) fn archive(parts: &[(String, Vec<u8>)]) -> Vec<u8> {

@@ -1,4 +1,4 @@
-//! CAS(ME)³, part A (Li et al. 2022), `CAS(ME)3_part_A_v2.xls`, saved as .xlsx.
+//! CAS(ME)³, part A (Li et al. 2022), `CAS(ME)3_part_A_v2.xls`.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::micro_expression::forms;
 use crate::micro_expression::sheet::read_form;
 
 pub(super) const KIND: IntervalKind =
-    IntervalKind { name: "casme3", about: "CAS(ME)3_part_A_v2.xls of CAS(ME)³, saved as .xlsx", read };
+    IntervalKind { name: "casme3", about: "CAS(ME)3_part_A_v2.xls of CAS(ME)³", read };
 
 const FPS: f64 = 30.0;
 

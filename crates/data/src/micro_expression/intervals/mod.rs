@@ -1,7 +1,7 @@
 //! Expressions in long videos: in which frames a face shows what. The truth of spotting, and what programs spot.
 
 mod casme3;
-mod casme_squared;
+pub(super) mod casme_squared;
 mod csv_file;
 mod kind;
 mod samm_long;

@@ -8,6 +8,8 @@
 //! train/frames/scene-0003/00000.png            frame 0 of scene 3
 //! train/flow/scene-0003/00000.npz16            flow from frame 0 to frame 1
 //! train/flow_backward/scene-0003/00000.npz16   flow from frame 1 to frame 0, at frame 1's pixels (--backward)
+//! train/head_flow/scene-0003/00000.npz16       flow with the head moving alone, its face as in frame 0 (--decompose)
+//! train/expression_flow/scene-0003/00000.npz16 what the face adds to it: the two add up to the flow (--decompose)
 //! train/alpha/scene-0003/00000.png             alpha of frame 0
 //! train/mask/scene-0003/00000.png              alpha of frame 0 above one half
 //! train/occlusion/scene-0003/00000.png         pixels of frame 0 that are not visible in frame 1
@@ -39,6 +41,11 @@ pub const STATISTICS_NAME: &str = "statistics.json";
 /// Version of the layout and of this file's fields.
 pub const LAYOUT_VERSION: u32 = 1;
 
+/// Names of the folders of optional flow, which are also its fields in packed datasets.
+const BACKWARD: &str = "flow_backward";
+const HEAD_FLOW: &str = "head_flow";
+const EXPRESSION_FLOW: &str = "expression_flow";
+
 /// The contents of `dataset.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
@@ -66,6 +73,9 @@ pub struct Arguments {
     pub backward: bool,
     /// Whether there are depth maps.
     pub depth: bool,
+    /// Whether there is the flow of the head and that of the expression.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub decompose: bool,
     /// Whether there are [region maps](crate::region_map).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub regions: bool,
@@ -156,6 +166,10 @@ pub struct PairFiles {
     pub flow: PathBuf,
     /// Flow from frame 2 to frame 1, at frame 2's pixels.
     pub flow_backward: Option<PathBuf>,
+    /// Flow from frame 1 to frame 2 with the head moving alone.
+    pub head_flow: Option<PathBuf>,
+    /// What the face adds to it.
+    pub expression_flow: Option<PathBuf>,
     /// Alpha of frame 1, 8-bit PNG.
     pub alpha: PathBuf,
     /// Head mask of frame 1, 8-bit PNG, 0 or 255.
@@ -175,9 +189,19 @@ impl PairFiles {
     pub fn all(&self) -> impl Iterator<Item = &PathBuf> {
         [&self.frame1, &self.frame2, &self.flow, &self.alpha, &self.mask, &self.occlusion, &self.record]
             .into_iter()
-            .chain(&self.flow_backward)
+            .chain(self.other_flows().map(|(_, path)| path))
             .chain(&self.depth)
             .chain(&self.regions)
+    }
+
+    /// The optional files of flow, with the names of their folders.
+    pub fn other_flows(&self) -> impl Iterator<Item = (&'static str, &PathBuf)> {
+        let optional = [
+            (BACKWARD, &self.flow_backward),
+            (HEAD_FLOW, &self.head_flow),
+            (EXPRESSION_FLOW, &self.expression_flow),
+        ];
+        optional.into_iter().filter_map(|(kind, path)| Some((kind, path.as_ref()?)))
     }
 }
 
@@ -282,9 +306,15 @@ impl Manifest {
 
     /// The folders of each split, one per kind of file.
     pub fn kinds(&self) -> impl Iterator<Item = &'static str> + use<> {
-        let Arguments { backward, depth, regions, .. } = self.arguments;
+        let Arguments { backward, depth, decompose, regions, .. } = self.arguments;
         let kinds = ["frames", "flow", "alpha", "mask", "occlusion", "pairs"];
-        let optional = [(backward, "flow_backward"), (depth, "depth"), (regions, "regions")];
+        let optional = [
+            (backward, BACKWARD),
+            (depth, "depth"),
+            (regions, "regions"),
+            (decompose, HEAD_FLOW),
+            (decompose, EXPRESSION_FLOW),
+        ];
         kinds.into_iter().chain(optional.into_iter().filter_map(|(has, kind)| has.then_some(kind)))
     }
 
@@ -297,7 +327,9 @@ impl Manifest {
             frame1: frame,
             frame2: self.frame_files(dir, scene, pair.saturating_add(1)).frame,
             flow: file("flow", flow_ending),
-            flow_backward: self.arguments.backward.then(|| file("flow_backward", flow_ending)),
+            flow_backward: self.arguments.backward.then(|| file(BACKWARD, flow_ending)),
+            head_flow: self.arguments.decompose.then(|| file(HEAD_FLOW, flow_ending)),
+            expression_flow: self.arguments.decompose.then(|| file(EXPRESSION_FLOW, flow_ending)),
             alpha,
             mask,
             occlusion: file("occlusion", "png"),
@@ -346,6 +378,7 @@ mod tests {
                 flow_format: "flo".into(),
                 backward: false,
                 depth: true,
+                decompose: true,
                 regions: true,
                 others: [("head", "builtin".into()), ("seed", u64::MAX.into())]
                     .map(|(name, value): (&str, serde_json::Value)| (name.to_owned(), value))
@@ -385,7 +418,30 @@ mod tests {
         assert_eq!(read(&text).unwrap(), without);
         assert!(!without.kinds().any(|kind| kind == "regions"));
         let files = without.files(Path::new("d"), &without.scenes[0], 3);
-        assert_eq!((files.regions, manifest().kinds().last()), (None, Some("regions")));
+        assert_eq!(
+            (files.regions, manifest().kinds().find(|kind| *kind == "regions")),
+            (None, Some("regions"))
+        );
+    }
+
+    #[test]
+    fn a_dataset_without_parts_has_the_manifest_of_earlier_versions() {
+        let mut without = manifest();
+        without.arguments.decompose = false;
+        let text = serde_json::to_string(&without).unwrap();
+        assert!(!text.contains("decompose"), "{text}");
+        assert_eq!(read(&text).unwrap(), without);
+        assert!(without.kinds().all(|kind| kind != "head_flow" && kind != "expression_flow"));
+        assert_eq!(without.files(Path::new("d"), &without.scenes[0], 3).other_flows().count(), 0);
+        let with = manifest();
+        let files = with.files(Path::new("d"), &with.scenes[0], 3);
+        let expected =
+            ["d/train/head_flow/scene-0000/00003.flo", "d/train/expression_flow/scene-0000/00003.flo"];
+        assert_eq!(files.other_flows().map(|(_, path)| path).collect::<Vec<_>>(), expected.map(Path::new));
+        assert!(
+            files.other_flows().all(|(kind, path)| with.kinds().any(|known| known == kind)
+                && files.all().any(|file| file == path))
+        );
     }
 
     #[test]

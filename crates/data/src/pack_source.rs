@@ -77,8 +77,8 @@ fn shapes(dir: &Path, path: PathBuf) -> Result<Source, DatasetError> {
 }
 
 fn pair_of_files(scene: &str, number: u32, files: PairFiles) -> PairSource {
-    let PairFiles { frame1, frame2, flow, flow_backward, alpha, mask, occlusion, depth, regions, record } =
-        files;
+    let other_flows = files.other_flows().map(|(field, path)| (field, path.clone())).collect();
+    let PairFiles { frame1, frame2, flow, alpha, mask, occlusion, depth, regions, record, .. } = files;
     let mut pictures = vec![("alpha", alpha), ("frame1", frame1), ("frame2", frame2), ("mask", mask)];
     pictures.extend(depth.map(|path| ("depth", path)));
     pictures.extend(regions.map(|path| ("regions", path)));
@@ -86,7 +86,7 @@ fn pair_of_files(scene: &str, number: u32, files: PairFiles) -> PairSource {
         scene: scene.to_owned(),
         frame: format!("{number:05}"),
         flow,
-        flow_backward,
+        other_flows,
         record: Some(record),
         occlusion: Some(occlusion),
         pictures,
@@ -103,7 +103,7 @@ fn pair_of_entry(entry: &Entry) -> Option<PairSource> {
         scene: String::new(),
         frame: entry.frame.clone(),
         flow: path(entry.flow.as_ref()?)?,
-        flow_backward: None,
+        other_flows: Vec::new(),
         record: None,
         occlusion,
         pictures: vec![("frame1", path(&entry.frame1)?), ("frame2", path(&entry.frame2)?)],

@@ -14,6 +14,7 @@ use srflow_data::flow::{DatasetError, Entry, EntryFile, FlowDataset, Sample};
 use crate::crop::{CropError, Window, head_window};
 use crate::error_curve::{ErrorCurve, shares_within};
 use crate::expression::Expression;
+use crate::expression_error::{ExpressionError, ExpressionTruth, Face};
 use crate::flow_files::{FlowFileError, FlowFiles};
 use crate::kept::KeptScores;
 use crate::regions;
@@ -60,6 +61,8 @@ pub struct Settings<'a> {
     pub small_motion: Option<f32>,
     /// Also score the motion of the [`Expression`].
     pub expression: bool,
+    /// Also score the flow of the expression against the exact one, which all pairs must have: see [`ExpressionError`].
+    pub expression_error: bool,
     /// Also keep the refinement iterations of each pair, for methods that have some.
     pub iterations: bool,
     /// The part of the pairs to score, of those that `limit` leaves.
@@ -151,6 +154,19 @@ pub enum EvaluateError {
         /// How many pairs are to be scored.
         pairs: usize,
     },
+    /// The flow of the expression is to be scored, and pairs do not have it.
+    #[error(
+        "{dataset}: {lacking} of {pairs} pairs have no true flow of the expression, which `expression_error` needs; `srflow render` with \
+         `decompose` and `srflow mer synth` make datasets with it"
+    )]
+    NoExpressionFlow {
+        /// The dataset and its split.
+        dataset: String,
+        /// How many of the pairs to be scored have none.
+        lacking: usize,
+        /// How many pairs are to be scored.
+        pairs: usize,
+    },
     /// A pair could not be scored.
     #[error("{pair}: {problem}")]
     Pair { pair: String, problem: PairProblem },
@@ -222,6 +238,10 @@ pub fn evaluate(
     let lacking = chosen.iter().filter(|entry| entry.regions.is_none()).count();
     if settings.regions && lacking > 0 {
         return Err(EvaluateError::NoRegions { dataset: title, lacking, pairs: chosen.len() });
+    }
+    let lacking = chosen.iter().filter(|entry| entry.expression_flow.is_none()).count();
+    if settings.expression_error && lacking > 0 {
+        return Err(EvaluateError::NoExpressionFlow { dataset: title, lacking, pairs: chosen.len() });
     }
     on_event(Event::Started { pairs: chosen.len() });
 
@@ -351,6 +371,8 @@ struct Pair {
     regions: Vec<(Region, Mask)>,
     /// Whether the motion of the expression is scored.
     expression: bool,
+    /// What the flow of the expression is scored against, if it is scored.
+    expression_truth: Option<ExpressionTruth>,
     /// Whether iterations are kept.
     iterations: bool,
     /// Width and height of the frames before cropping.
@@ -381,14 +403,29 @@ impl Pair {
         let mut regions = Vec::new();
         regions.extend(sample.mask.clone().map(|head| (Region::Head, head)));
         regions.extend(sample.occlusion.as_ref().map(|hidden| (Region::Visible, inverse(hidden))));
-        if let Some(map) = settings.regions.then(|| entry.read_regions()).transpose()?.flatten() {
+        let needs_map = settings.regions || settings.expression_error;
+        let map = needs_map.then(|| entry.read_regions()).transpose()?.flatten();
+        if let (true, Some(map)) = (settings.regions, &map) {
             // Divided before it is cropped, so that a crop does not move the rim.
             let in_window = |mask: Mask| match window {
                 Some(Window { left, top, width, height }) => mask.crop(left, top, width, height),
                 None => mask,
             };
-            regions.extend(regions::of_map(&map).into_iter().map(|(region, mask)| (region, in_window(mask))));
+            regions.extend(regions::of_map(map).into_iter().map(|(region, mask)| (region, in_window(mask))));
         }
+        let expression_flow =
+            settings.expression_error.then(|| entry.read_expression_flow()).transpose()?.flatten();
+        let expression_truth = expression_flow.map(|expression| {
+            let (expression, map) = match window {
+                Some(Window { left, top, width, height }) => (
+                    expression.crop(left, top, width, height),
+                    map.map(|map| map.crop(left, top, width, height)),
+                ),
+                None => (expression, map),
+            };
+            let face = Face::new(map.as_ref(), sample.mask.as_ref(), truth.size());
+            ExpressionTruth::new(&truth, expression, face)
+        });
         if let Some(limit) = settings.small_motion {
             regions.push((Region::SmallMotion, regions::small_motion(&truth, sample.mask.as_ref(), limit)));
         }
@@ -398,6 +435,7 @@ impl Pair {
             truth,
             regions,
             expression: settings.expression,
+            expression_truth,
             iterations: settings.iterations,
             whole,
             window,
@@ -582,6 +620,7 @@ fn scores_of(
             true => Expression::of(flow, &pair.truth, pair.sample.mask.as_ref()),
             false => None,
         },
+        expression_error: pair.expression_truth.as_ref().and_then(|truth| truth.error(flow, &pair.truth)),
     })
 }
 
@@ -652,6 +691,9 @@ impl MethodSums {
             visible: means.remove(&Region::Visible),
             regions: means,
             expression: Expression::mean(self.scores.pairs.iter().filter_map(|pair| pair.expression)),
+            expression_error: ExpressionError::mean(
+                self.scores.pairs.iter().filter_map(|pair| pair.expression_error),
+            ),
             iterations: mean(self.scores.pairs.iter().filter_map(|pair| pair.iterations)),
             within: self.curve.mean(),
             ..self.scores

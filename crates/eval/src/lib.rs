@@ -4,6 +4,7 @@ mod crop;
 mod error_curve;
 mod evaluate;
 mod expression;
+mod expression_error;
 mod flow_files;
 mod kept;
 mod method_record;
@@ -19,6 +20,7 @@ pub use evaluate::{
     scored_pairs, spread,
 };
 pub use expression::Expression;
+pub use expression_error::ExpressionError;
 pub use flow_files::{FlowFileError, FlowFiles, FlowFilesError};
 pub use kept::{KeptPair, KeptScores};
 pub use method_record::MethodRecord;

@@ -8,6 +8,7 @@ use srflow_data::flow::Split;
 use srflow_report::{Better, Column, Row, Table, csv_text};
 
 use crate::expression::Expression;
+use crate::expression_error::ExpressionError;
 
 /// The scores of every method over one dataset.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -60,6 +61,9 @@ pub struct MethodScores {
     /// The same of the motion of the expression, if it was asked for; the mean is over the pairs that show one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expression: Option<Expression>,
+    /// Errors of the flow of the expression, if they were asked for; the mean is over the pairs that show a face.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expression_error: Option<ExpressionError>,
     /// Mean over pairs of the refinement iterations, if they were asked for and the method has some.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iterations: Option<f64>,
@@ -90,6 +94,9 @@ pub struct PairScores {
     /// Of the motion of the expression, if it was asked for and the pair shows one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expression: Option<Expression>,
+    /// Errors of the flow of the expression, if they were asked for and the pair shows a face.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expression_error: Option<ExpressionError>,
 }
 
 /// A pair left out.
@@ -310,6 +317,39 @@ impl Evaluation {
         })
     }
 
+    /// How exact the flow of the expression is that each method gives; `None` when it was not asked for.
+    pub fn expression_error(&self) -> Option<Table> {
+        let floor = self.methods.iter().find_map(|method| method.expression_error)?.floor_epe;
+        let row = |method: &MethodScores| {
+            let found = method.expression_error;
+            Row {
+                name: method.name.clone(),
+                values: vec![
+                    found.map(|found| found.flow_epe),
+                    found.map(|found| found.expression_epe),
+                    found.and_then(|found| found.ratio).filter(|_| !method.baseline),
+                ],
+                baseline: method.baseline,
+            }
+        };
+        let crop = self.crop_in_words();
+        Some(Table {
+            title: format!(
+                "{}, {}{crop}, flow of the expression in the face ({floor:.3} px for the true flow)",
+                self.title(),
+                self.pairs_in_words()
+            ),
+            columns: vec![
+                Column::ranked("flow_epe", "EPE flow", Better::Lower),
+                Column::ranked("expression_epe", "EPE expression", Better::Lower),
+                Column::plain("ratio", "ratio", 3),
+            ],
+            rows: self.methods.iter().map(row).collect(),
+            notes: self.left_out.clone(),
+            ..Table::default()
+        })
+    }
+
     /// By how many percent of the other's score each score is better than that of another method (the paper's Table III);
     /// `None` when nothing is held against another.
     pub fn improvement(&self) -> Option<Table> {
@@ -332,10 +372,11 @@ impl Evaluation {
         })
     }
 
-    /// The tables of all regions that were scored, those that compare regions, that of expressions and that of improvements.
+    /// The tables of all regions that were scored, those that compare regions, those of expressions and that of improvements.
     pub fn tables(&self) -> Vec<Table> {
         let regions = Region::ALL.into_iter().filter_map(|region| self.table(region));
-        regions.chain(self.by_region()).chain(self.expression()).chain(self.improvement()).collect()
+        let expressions = self.expression().into_iter().chain(self.expression_error());
+        regions.chain(self.by_region()).chain(expressions).chain(self.improvement()).collect()
     }
 
     /// Comma-separated values at full precision: one line per method and region, the mean over pairs.

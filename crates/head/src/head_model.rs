@@ -154,6 +154,18 @@ impl HeadModel {
         self.joints.iter().position(|joint| joint.role == Some(role))
     }
 
+    /// A pose with the head where it is in `other`, and its own face: the translation and the joints from the root to the neck are
+    /// those of `other`; expressions, jaw and eyes stay.
+    pub fn with_head_of(&self, pose: &HeadPose, other: &HeadPose) -> HeadPose {
+        let mut moved = HeadPose { translation: other.translation, ..pose.clone() };
+        let mut joint = Some(self.joint(JointRole::Neck).unwrap_or(0));
+        while let Some(number) = joint {
+            *moved.joint_mut(number) = other.joint(number);
+            joint = self.joints.get(number).and_then(|joint| joint.parent);
+        }
+        moved
+    }
+
     /// The template with the identity of the given weights, one per shape of `identities`; missing weights are zero, and
     /// excess weights are ignored.
     pub fn shaped(&self, identity: &[f32]) -> ShapedHead {

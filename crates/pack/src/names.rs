@@ -1,7 +1,7 @@
 //! Names of members: `KEY.FIELD.ENDING`.
 
 /// What a member may contain, by the first word of its extension, with its meaning.
-const FIELDS: [(&str, &str); 10] = [
+const FIELDS: [(&str, &str); 12] = [
     ("alpha", "alpha of frame 1: 8-bit grey"),
     ("depth", "depth of frame 1: 16-bit grey in tenths of a millimetre, 0 where there is none"),
     (
@@ -9,8 +9,10 @@ const FIELDS: [(&str, &str); 10] = [
         "flow from frame 1 to frame 2 in pixels: H x W x 2, u to the right and v down, at frame 1's pixels",
     ),
     ("flow_backward", "flow from frame 2 to frame 1, at frame 2's pixels"),
+    ("expression_flow", "what the face adds to head_flow: the two add up to flow"),
     ("frame1", "first frame: 8-bit sRGB"),
     ("frame2", "second frame: 8-bit sRGB"),
+    ("head_flow", "flow with the head moving alone, its face as in frame 1"),
     ("mask", "255 on the head in frame 1, else 0"),
     ("meta", "cameras, motion and action units of both frames"),
     ("occlusion", "255 where a pixel of frame 1 is not visible in frame 2, else 0"),

@@ -49,7 +49,8 @@ pub struct PairSource {
     pub scene: String,
     pub frame: String,
     pub flow: PathBuf,
-    pub flow_backward: Option<PathBuf>,
+    /// Flow beside it, of the same format: field and file.
+    pub other_flows: Vec<(&'static str, PathBuf)>,
     /// The record with cameras and statistics.
     pub record: Option<PathBuf>,
     pub occlusion: Option<PathBuf>,
@@ -65,8 +66,8 @@ impl PairSource {
 
     /// The files of flow, with their fields.
     pub(crate) fn flows(&self) -> impl Iterator<Item = (&'static str, &Path)> {
-        let backward = self.flow_backward.iter().map(|path| ("flow_backward", path.as_path()));
-        [("flow", self.flow.as_path())].into_iter().chain(backward)
+        let others = self.other_flows.iter().map(|(field, path)| (*field, path.as_path()));
+        [("flow", self.flow.as_path())].into_iter().chain(others)
     }
 
     /// The files that are packed as they are, with their fields.

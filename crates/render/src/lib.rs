@@ -7,6 +7,7 @@ pub mod capture;
 pub mod check;
 mod clap;
 mod error;
+mod flow_parts;
 pub mod generate;
 mod head;
 pub mod job;

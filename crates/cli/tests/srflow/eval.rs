@@ -65,6 +65,14 @@ fn scores_by_region_are_printed_and_written() {
     let out = dir.path().join("scores").display().to_string();
     let arguments = ["--dataset", &dataset, "--method", "farneback", "--regions"];
     refuses(&eval(&arguments), 1, &["2 of 2 pairs have no region map", "srflow render --regions"]);
+    let parts = [
+        "2 of 2 pairs have no true flow of the expression",
+        "--expression-error",
+        "--decompose",
+        "srflow mer synth",
+    ];
+    let arguments_of_parts = ["--dataset", &dataset, "--method", "farneback", "--expression-error"];
+    refuses(&eval(&arguments_of_parts), 1, &parts);
     let map = Labels::from_fn(SIZE.0, SIZE.1, |x, y| match ((30..90).contains(&x), (20..80).contains(&y)) {
         (true, true) => 1 + (x / 12 % 5) as u8,
         _ => 0,

@@ -70,6 +70,30 @@ fn the_motion_of_expressions_is_scored_on_a_rendered_set() {
 }
 
 #[test]
+fn the_flow_of_expressions_is_scored_on_a_rendered_set() {
+    let arguments = ["eval", "--dataset", "clips:set", "--method", "tvl1", "--expression-error"];
+    let eval =
+        |more: &[&str]| crate::srflow().current_dir(SET.path()).args(arguments).args(more).output().unwrap();
+    let scores = crate::json(&eval(&["--json"]));
+    let of =
+        |method: usize, what: &str| scores["methods"][method]["expression_error"][what].as_f64().unwrap();
+    assert!(of(1, "expression_epe") > of(1, "floor_epe"), "TV-L1 is not exact");
+    assert!(of(0, "floor_epe") < of(0, "expression_epe"), "the true flow shows the expression");
+    assert!((of(1, "ratio") - of(1, "expression_epe") / of(1, "flow_epe")).abs() < 1e-9);
+    assert_eq!(scores["methods"][1]["pairs"].as_array().unwrap().len(), 3);
+    assert!(scores["methods"][1]["pairs"][2]["expression_error"]["ratio"].is_number());
+    let text = succeeds(&eval(&[]));
+    for part in
+        ["clips, 3 pairs, flow of the expression in the face (0.", "EPE flow ↓", "EPE expression ↓", "ratio"]
+    {
+        assert!(text.contains(part), "{part:?} in {text}");
+    }
+    succeeds(&eval(&["--out", "scores-with-parts"]));
+    let page = fs::read_to_string(SET.path().join("scores-with-parts/report.html")).unwrap();
+    assert!(page.contains("flow of the expression in the face"));
+}
+
+#[test]
 fn the_published_annotations_are_listed_with_dropped_rows() {
     let Some(dir) = annotations() else { return };
     let folder = tempfile::tempdir().unwrap();

@@ -25,7 +25,9 @@ fn rendered() -> &'static Path {
         let _ = fs::remove_dir_all(&out); // of an earlier test run
         let mut command = crate::srflow();
         command.args(["render", "--scenes", "2", "--frames", "4", "--size", "110x160", "--seed", "4"]);
-        command.args(["--splits", "0.5,0,0.5", "--backward", "--depth", "--regions", "--out"]).arg(&out);
+        command
+            .args(["--splits", "0.5,0,0.5", "--backward", "--depth", "--regions", "--decompose", "--out"])
+            .arg(&out);
         succeeds(&command.output().unwrap());
         out
     })
@@ -120,6 +122,31 @@ fn region_maps_are_read_too() {
 }
 
 #[test]
+fn the_flow_of_the_expression_is_read_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("packed");
+    succeeds(&pack(rendered(), &out, &["--flow", "npz16"]));
+    let errors = |dataset: String| {
+        let mut command = crate::srflow();
+        command.args([
+            "eval",
+            "--dataset",
+            &dataset,
+            "--method",
+            "farneback",
+            "--expression-error",
+            "--json",
+        ]);
+        let report = json(&command.output().unwrap());
+        let methods = report["methods"].as_array().unwrap().iter();
+        methods.map(|method| method["expression_error"].clone()).collect::<Vec<Value>>()
+    };
+    let own = errors(format!("srflow:{}", rendered().display()));
+    assert!(own[1]["ratio"].as_f64().is_some_and(|ratio| ratio > 0.0), "{own:?}");
+    assert_eq!(errors(format!("wds:{}", out.display())), own);
+}
+
+#[test]
 fn a_stopped_run_goes_on_to_the_same_bytes_whatever_the_threads() {
     let folder = tempfile::tempdir().unwrap();
     let [through, stopped] = ["through", "stopped"].map(|name| folder.path().join(name));
@@ -173,10 +200,12 @@ fn every_file_is_hashed_and_every_pair_is_in_the_index() {
         [
             "alpha.png",
             "depth.png",
+            "expression_flow.npy",
             "flow.npy",
             "flow_backward.npy",
             "frame1.png",
             "frame2.png",
+            "head_flow.npy",
             "mask.png",
             "meta.json",
             "occlusion.png",

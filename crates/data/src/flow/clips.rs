@@ -1,6 +1,6 @@
 //! Clips of micro-expressions with true flow, as pairs of onset and apex: those of `srflow mer synth`, and any in their form.
-//! `clips.csv` lists them; beside a clip's folder `s03/c05/` are the flow `s03/c05_flow.flo` and, if there is one, the mask of the head
-//! `s03/c05_mask.png`.
+//! `clips.csv` lists them; beside a clip's folder `s03/c05/` are the flow `s03/c05_flow.flo` and, if there are some, the mask of the head
+//! `s03/c05_mask.png` and the parts of the flow, `s03/c05_head_flow.flo` and `s03/c05_expression_flow.flo`.
 
 use std::path::{Path, PathBuf};
 
@@ -40,8 +40,11 @@ fn pair(clip: &Clip, gaps: &mut Gaps) -> Option<Entry> {
     if flow.is_none() {
         gaps.push(format!("clip {} has no flow {}_flow.*", annotation.clip, annotation.clip));
     }
+    let part = |part| beside(clip, part, listing::FLOWS).map(|path| Box::new(path.into()));
     Some(Entry {
         flow: flow.map(Into::into),
+        head_flow: part("head_flow"),
+        expression_flow: part("expression_flow"),
         mask: beside(clip, "mask", listing::MASKS).map(Into::into),
         ..Entry::bare(annotation.clip.clone(), frame1, frame2)
     })

@@ -12,6 +12,11 @@ pub struct Entry {
     pub frame2: EntryFile,
     /// File of the true flow from frame 1 to frame 2, if published.
     pub flow: Option<EntryFile>,
+    /// File of the true flow with the head moving alone, if there is one: see [`Entry::read_head_flow`]. In a box, since few datasets
+    /// have it.
+    pub head_flow: Option<Box<EntryFile>>,
+    /// File of what the expression adds to it, if there is one: see [`Entry::read_expression_flow`].
+    pub expression_flow: Option<Box<EntryFile>>,
     /// File of the mask of the head in frame 1, if there is one.
     pub mask: Option<EntryFile>,
     /// Source of the occlusions of frame 1, if there is one.
@@ -32,6 +37,8 @@ impl Entry {
             frame1,
             frame2: frame2.into(),
             flow: None,
+            head_flow: None,
+            expression_flow: None,
             mask: None,
             occlusion: None,
             regions: None,
@@ -47,8 +54,15 @@ impl Entry {
     /// The files of the pair.
     pub fn files(&self) -> impl Iterator<Item = &EntryFile> {
         let occlusion = self.occlusion.as_ref().map(Occlusion::file);
-        let optional =
-            [self.flow.as_ref(), self.mask.as_ref(), occlusion, self.regions.as_ref(), self.depth.as_ref()];
+        let optional = [
+            self.flow.as_ref(),
+            self.head_flow.as_deref(),
+            self.expression_flow.as_deref(),
+            self.mask.as_ref(),
+            occlusion,
+            self.regions.as_ref(),
+            self.depth.as_ref(),
+        ];
         [&self.frame1, &self.frame2].into_iter().chain(optional.into_iter().flatten())
     }
 }
@@ -80,7 +94,7 @@ mod tests {
     /// A list of a million pairs is in memory at once.
     #[test]
     fn pairs_are_small() {
-        assert!(size_of::<Entry>() <= 272, "{}", size_of::<Entry>());
+        assert!(size_of::<Entry>() <= 288, "{}", size_of::<Entry>());
         let mut folders = Folders::default();
         let [one, other] = ["d/e/1.png", "d/e/2.png"].map(|path| folders.file(path.into()));
         let (EntryFile::OnDisk { folder, .. }, EntryFile::OnDisk { folder: same, .. }) = (&one, &other)

@@ -139,6 +139,32 @@ impl Entry {
         Ok(Some(map))
     }
 
+    /// Decodes the true flow from frame 1 to frame 2 with the head moving alone, by its rotation, translation and camera, its face as in
+    /// frame 1, in pixels, NaN where unknown; `None` when there is none.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or has another size than frame 1.
+    pub fn read_head_flow(&self) -> Result<Option<FlowField>, DatasetError> {
+        self.read_part(self.head_flow.as_deref())
+    }
+
+    /// As [`Entry::read_head_flow`], what the motion of the face adds to it: the two add up to the true flow.
+    ///
+    /// # Errors
+    /// Those of [`Entry::read_head_flow`].
+    pub fn read_expression_flow(&self) -> Result<Option<FlowField>, DatasetError> {
+        self.read_part(self.expression_flow.as_deref())
+    }
+
+    fn read_part(&self, file: Option<&EntryFile>) -> Result<Option<FlowField>, DatasetError> {
+        let Some(file) = file else { return Ok(None) };
+        let files = Opened::of([file, &self.frame1])?;
+        let flow = files.flow(file)?;
+        self.check_size(&files, file, flow.size())?;
+        let (width, height) = flow.size();
+        Ok(Some(Truth::USUAL.counted(flow, width, height)))
+    }
+
     /// Decodes the depth of frame 1 in metres, 0 where there is none (16-bit grey PNG in tenths of a millimetre, as `srflow render
     /// --depth` writes it); `None` when there is no file.
     ///

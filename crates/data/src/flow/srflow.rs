@@ -80,6 +80,9 @@ fn entry(
         Direction::Forward => ([pair, pair.saturating_add(1)], Some(files.flow), Some(files.occlusion)),
         Direction::Backward => ([pair.saturating_add(1), pair], files.flow_backward, None),
     };
+    // They are of frame 1's pixels alone.
+    let [head_flow, expression_flow] =
+        [files.head_flow, files.expression_flow].map(|path| path.filter(|_| direction == Direction::Forward));
     let [first, second] = frames.map(|frame| manifest.frame_files(dir, scene, frame));
     Entry {
         scene: scene.name.clone(),
@@ -87,6 +90,8 @@ fn entry(
         frame1: folders.file(first.frame),
         frame2: folders.file(second.frame),
         flow: flow.map(|path| folders.file(path)),
+        head_flow: head_flow.map(|path| folders.file(path).into()),
+        expression_flow: expression_flow.map(|path| folders.file(path).into()),
         mask: Some(folders.file(first.mask)),
         occlusion: occlusion.map(|path| Occlusion::Picture(folders.file(path))),
         regions: first.regions.map(|path| folders.file(path)),

@@ -27,7 +27,8 @@ pub(super) const KIND: Kind = Kind {
 };
 
 /// The fields that a pair is made of; others are left out of the listing.
-const FIELDS: [&str; 7] = ["depth", "flow", "frame1", "frame2", "mask", "occlusion", "regions"];
+const FIELDS: [&str; 9] =
+    ["depth", "expression_flow", "flow", "frame1", "frame2", "head_flow", "mask", "occlusion", "regions"];
 /// Those of a pair from the second frame to the first: a sample has masks and depth of its first frame alone.
 const BACKWARD_FIELDS: [&str; 3] = ["flow_backward", "frame1", "frame2"];
 
@@ -156,6 +157,8 @@ impl Pairs {
                 frame1,
                 frame2,
                 flow: file("flow"),
+                head_flow: file("head_flow").map(Box::new),
+                expression_flow: file("expression_flow").map(Box::new),
                 mask: file("mask"),
                 occlusion: file("occlusion").map(Occlusion::Picture),
                 regions: file("regions"),

@@ -30,6 +30,18 @@ fn a_pair_is_onset_and_apex() {
 }
 
 #[test]
+fn the_parts_of_the_flow_are_beside_it() {
+    let dir = clips("s01/c01,s01,3,5,5,positive\ns01/c02,s01,3,4,5,negative\n");
+    dir.add(["s01/c01_head_flow.flo", "s01/c01_expression_flow.npy"]);
+    let parts = |number: usize| {
+        let entry = dir.open("clips", None).entries()[number].clone();
+        [entry.head_flow, entry.expression_flow].map(|file| file.map(|file| *file))
+    };
+    assert_eq!(parts(0), [dir.file("s01/c01_head_flow.flo"), dir.file("s01/c01_expression_flow.npy")]);
+    assert_eq!(parts(1), [None, None]);
+}
+
+#[test]
 fn clips_without_apex_or_flow_are_named() {
     let dir = clips("s01/c01,s01,3,,5,positive\ns01/c02,s01,3,4,5,negative\n");
     dir.remove("s01/c02_flow.npz16");

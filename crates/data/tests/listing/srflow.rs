@@ -57,6 +57,29 @@ fn region_maps_are_those_of_the_first_frame_of_a_pair() {
 }
 
 #[test]
+fn forward_pairs_have_the_parts_of_their_flow() {
+    let dir = srflow(true);
+    let path = dir.path().join("dataset.json");
+    let text = fs::read_to_string(&path)
+        .unwrap()
+        .replace("\"backward\":true", "\"backward\":true,\"decompose\":true");
+    fs::write(path, text).unwrap();
+    dir.refuses(
+        "srflow",
+        Some(Split::Test),
+        &["no test/head_flow/scene-0001/00000.npz", "no test/expression_flow/"],
+    );
+    dir.add(["head_flow", "expression_flow"].map(|kind| format!("test/{kind}/scene-0001/00000.npz")));
+    let parts = |kind: &str| {
+        let entry = dir.open(kind, Some(Split::Test)).entries()[0].clone();
+        [entry.head_flow, entry.expression_flow].map(|file| file.map(|file| *file))
+    };
+    let file = |kind: &str| dir.file(&format!("test/{kind}/scene-0001/00000.npz"));
+    assert_eq!(parts("srflow"), [file("head_flow"), file("expression_flow")]);
+    assert_eq!(parts("srflow-backward"), [None, None], "they are at the first frame's pixels");
+}
+
+#[test]
 fn forward_pairs_have_mask_and_occlusion() {
     let dir = srflow(false);
     let dataset = dir.open("srflow", Some(Split::Train));

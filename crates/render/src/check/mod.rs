@@ -5,7 +5,7 @@ mod again;
 mod plan;
 mod problem;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -214,6 +214,23 @@ impl PairFindings {
         Some(flow)
     }
 
+    /// Reports parts of a flow that do not add up to it. `file` is that of the expression's.
+    fn add_up(&mut self, flow: &FlowField, head: &FlowField, expression: &FlowField, file: &Path) {
+        // Each of the three files is rounded.
+        let near = |flow: f32, head: f32, expression: f32| {
+            (flow - head - expression).abs() <= 3.0 * ROUNDING + 0.001 * flow.abs().max(head.abs())
+        };
+        let parts = head.pixels().iter().zip(expression.pixels());
+        let differ = flow.pixels().iter().zip(parts).filter(|(flow, (head, expression))| {
+            !(0..2).all(|axis| near(flow[axis], head[axis], expression[axis]))
+        });
+        let count = differ.count();
+        if count > 0 {
+            let what = format!("it and the flow of the head do not add up to the flow in {count} pixels");
+            self.problem(file, what);
+        }
+    }
+
     /// Reports a flow that does not explain the frames.
     fn explains(&mut self, residual: Residual, file: &Path) {
         if residual.is_wrong() {
@@ -302,6 +319,16 @@ impl PairChecker<'_> {
             findings.problems.append(&mut of_frame2.problems);
         }
         let flow = findings.read_flow(&files.flow, size);
+        let part = |path: &Option<PathBuf>, findings: &mut PairFindings| {
+            path.as_ref().and_then(|path| findings.read_flow(path, size))
+        };
+        let head_flow = part(&files.head_flow, &mut findings);
+        let expression_flow = part(&files.expression_flow, &mut findings);
+        if let (Some(path), Some(flow), Some(head), Some(expression)) =
+            (&files.expression_flow, &flow, &head_flow, &expression_flow)
+        {
+            findings.add_up(flow, head, expression, path);
+        }
         let backward = files.flow_backward.as_ref().and_then(|path| findings.read_flow(path, size));
         let occlusion = findings.read_mask(&files.occlusion, size);
         match PairRecord::read(&files.record) {

@@ -55,6 +55,10 @@ pub struct Settings {
     /// Also write the flow from frame 2 to frame 1
     #[arg(long)]
     pub backward: bool,
+    /// Also write the flow with the head moving alone, and what the expression adds to it
+    #[arg(long)]
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub decompose: bool,
     /// Also write depth
     #[arg(long)]
     pub depth: bool,
@@ -103,6 +107,7 @@ impl Default for Settings {
             seed: 1,
             flow_format: FlowFormat::Npz16,
             backward: false,
+            decompose: false,
             depth: false,
             background: Background::Colour([255; 3]),
             motion: MotionSource::Curves,

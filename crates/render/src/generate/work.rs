@@ -21,6 +21,7 @@ use super::rig::Rig;
 use super::scene::{self, FrameState, Scene};
 use super::settings::Settings;
 use crate::RenderError;
+use crate::flow_parts::{FlowParts, Seen};
 use crate::job::{Clock, Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::parts::PartWeights;
 use crate::record::{PairRecord, json_text};
@@ -58,11 +59,13 @@ impl Layout for Manifest {
     /// A frame is written with the pair that starts at it, a scene's last frame with the last pair.
     fn files(&self, dir: &Path, group: u32, pair: u32) -> Vec<PathBuf> {
         let scene = &self.scenes[group as usize];
-        let PairFiles { flow, flow_backward, occlusion, record, .. } = self.files(dir, scene, pair);
+        let files = self.files(dir, scene, pair);
+        let others: Vec<PathBuf> = files.other_flows().map(|(_, path)| path.clone()).collect();
+        let PairFiles { flow, occlusion, record, .. } = files;
         let frames = if pair + 1 == scene.pairs { pair..pair + 2 } else { pair..pair + 1 };
         let of_frames =
             frames.flat_map(|frame| self.frame_files(dir, scene, frame).all().cloned().collect::<Vec<_>>());
-        [record, flow, occlusion].into_iter().chain(flow_backward).chain(of_frames).collect()
+        [record, flow, occlusion].into_iter().chain(others).chain(of_frames).collect()
     }
 
     fn begun_in(&self, dir: &Path) -> Vec<(u32, u32)> {
@@ -183,6 +186,7 @@ pub(super) struct Worker {
     next_surface: Vec<f32>,
     /// Empty without region maps; with them, another 0.2 GB.
     parts: PartWeights,
+    flow_parts: FlowParts,
     bytes: Vec<u8>,
 }
 
@@ -317,21 +321,22 @@ impl Worker {
         state: &FrameState,
         next: &FrameState,
     ) -> Result<(), RenderError> {
-        let PairFiles { flow, flow_backward, occlusion: hidden_path, record, .. } =
-            work.plan.manifest.files(work.dir, &scene.entry, pair);
+        let files = work.plan.manifest.files(work.dir, &scene.entry, pair);
+        let PairFiles { flow, flow_backward, occlusion: hidden_path, record, .. } = &files;
         self.write_frame(work, scene, pair, state)?;
         let format = work.plan.settings.flow_format;
-        work.write(Stage::Flow, &flow, |path| write_flow_as(path, &self.frame.flow, format))?;
+        work.write(Stage::Flow, flow, |path| write_flow_as(path, &self.frame.flow, format))?;
         let (hidden, summary) = work.clock.time(Stage::Occlusion, || {
             let hidden = occlusion(&self.frame, &self.next_surface);
             let summary = FlowSummary::of(&self.frame.flow, &self.frame.mask(), &hidden);
             (hidden, summary)
         });
-        work.write(Stage::Planes, &hidden_path, |path| write_mask_png(path, &hidden))?;
+        work.write(Stage::Planes, hidden_path, |path| write_mask_png(path, &hidden))?;
         if let Some(path) = flow_backward {
             self.render_backward(work, scene, pair, state, next)?;
-            work.write(Stage::Flow, &path, |path| write_flow_as(path, &self.backward.flow, format))?;
+            work.write(Stage::Flow, path, |path| write_flow_as(path, &self.backward.flow, format))?;
         }
+        self.write_parts(work, scene, pair, &files, [state, next])?;
         let known = PairRecord {
             frame1: scene.record(pair, state),
             frame2: scene.record(pair + 1, next),
@@ -339,7 +344,30 @@ impl Worker {
         };
         // The record marks the pair as complete, so it comes last.
         let known = serde_json::to_string(&known).expect("numbers, text, lists and maps by text") + "\n";
-        work.write(Stage::Records, &record, |path| write_file(path, &known))
+        work.write(Stage::Records, record, |path| write_file(path, &known))
+    }
+
+    /// Writes the flow of the head and that of the expression, if the dataset has them.
+    fn write_parts(
+        &mut self,
+        work: &Work,
+        scene: &Scene,
+        pair: u32,
+        files: &PairFiles,
+        states: [&FrameState; 2],
+    ) -> Result<(), RenderError> {
+        let (Some(head_path), Some(expression_path)) = (&files.head_flow, &files.expression_flow) else {
+            return Ok(());
+        };
+        let seen = states.map(|state| Seen { pose: &state.pose, camera: &state.camera });
+        let Self { flow_parts, rasterizer, gaussians, frame, .. } = self;
+        let (head, expression) = work
+            .clock
+            .time(Stage::Rasterize, || flow_parts.of(&frame.flow, rasterizer, &scene.avatar, gaussians, seen))
+            .map_err(|error| refused(scene, pair, error))?;
+        let format = work.plan.settings.flow_format;
+        work.write(Stage::Flow, head_path, |path| write_flow_as(path, head, format))?;
+        work.write(Stage::Flow, expression_path, |path| write_flow_as(path, &expression, format))
     }
 
     fn render_backward(

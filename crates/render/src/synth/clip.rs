@@ -3,7 +3,7 @@
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::Key;
 use srflow_head::{HeadModelError, HeadPose, MicroExpression};
-use srflow_splat::{Camera, Gaussians};
+use srflow_splat::Camera;
 
 use super::portrait::{camera, drift, landmarks_in_image, move_head};
 use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};
@@ -25,19 +25,6 @@ pub struct Clip {
     pub key: Key,
     drift: SmoothPath<6>,
     frames: usize,
-}
-
-/// The frames that the expression and the drift of the head are taken from: of one frame, or of two to see one move alone.
-#[derive(Debug, Clone, Copy)]
-pub struct Moment {
-    pub expression: usize,
-    pub head: usize,
-}
-
-impl Moment {
-    pub fn of_frame(frame: usize) -> Self {
-        Self { expression: frame, head: frame }
-    }
 }
 
 impl Clip {
@@ -70,9 +57,10 @@ impl Clip {
         self.frames
     }
 
-    fn pose(&self, avatar: &Avatar, moment: Moment) -> Result<HeadPose, HeadModelError> {
-        let mut pose = self.expression.pose(avatar.model(), moment.expression)?;
-        move_head(&mut pose, self.drift.at(moment.head as f64 / (self.frames - 1).max(1) as f64));
+    /// The head in a frame.
+    pub fn pose(&self, avatar: &Avatar, frame: usize) -> Result<HeadPose, HeadModelError> {
+        let mut pose = self.expression.pose(avatar.model(), frame)?;
+        move_head(&mut pose, self.drift.at(frame as f64 / (self.frames - 1).max(1) as f64));
         Ok(pose)
     }
 
@@ -92,17 +80,5 @@ impl Clip {
     /// Numbers of the action units in the notation of datasets: `1+2`.
     pub fn coded_units(&self) -> String {
         coded_units(&self.expression.action_units)
-    }
-
-    /// Writes the Gaussians of a moment into `out`.
-    pub fn gaussians(
-        &self,
-        avatar: &Avatar,
-        moment: Moment,
-        head: &mut PosedHead,
-        out: &mut Gaussians,
-    ) -> Result<(), HeadModelError> {
-        avatar.gaussians_into(&self.pose(avatar, moment)?, head, out);
-        Ok(())
     }
 }

@@ -6,7 +6,7 @@
 //! s03/c05/0012.png          frame 12 of subject 3's fifth clip
 //! s03/c05_flow.flo          true flow from onset to apex
 //! s03/c05_head_flow.flo     the same with the head moving alone, its face as at the onset
-//! s03/c05_expression_flow.flo   the same with the face moving alone, its head as at the onset
+//! s03/c05_expression_flow.flo   what the face adds to it: the two add up to the flow
 //! s03/c05_mask.png          white on the head at the onset
 //! s03/c05.json              class, action units and their intensities, onset, apex, offset, landmarks; written last
 //! clips.csv                 the dataset as plain clips; written once it is complete

@@ -94,7 +94,7 @@ pub(super) enum Motion {
     Whole,
     /// The head, with the face as at the onset.
     Head,
-    /// The face, with the head where it is at the onset.
+    /// What the face adds to it.
     Expression,
 }
 

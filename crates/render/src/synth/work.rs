@@ -7,12 +7,14 @@ use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_data::micro_expression::PLAIN_NAME;
 use srflow_files::{write_file, write_flow_as, write_image_png, write_mask_png};
-use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
+use srflow_head::MicroExpression;
+use srflow_splat::{DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, RasterizeError};
 
-use super::clip::{Clip, Moment};
+use super::clip::Clip;
 use super::portrait::{BACKDROP, head_seed};
 use super::settings::{ClipPlan, Motion, SynthSettings};
 use crate::RenderError;
+use crate::flow_parts::{FlowParts, Seen};
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::record::{json_text, read_record};
 
@@ -197,11 +199,12 @@ impl Plan for Clips {
 /// The buffers of one worker, reused for every frame.
 #[derive(Default)]
 pub struct Renderer {
-    rasterizer: Rasterizer,
+    rasterizer: DeviceRasterizer,
     head: PosedHead,
     gaussians: Gaussians,
     apex: Gaussians,
     frame: Frame,
+    parts: FlowParts,
 }
 
 impl Renderer {
@@ -212,13 +215,12 @@ impl Renderer {
         let refused = |error: RasterizeError| RenderError::Rasterize { frame: plan.name.clone(), error };
         let folder = plan.folder(work.dir);
 
-        let expression = &clip.expression;
-        let (onset, apex) = (expression.onset, expression.apex);
+        let MicroExpression { onset, apex, offset, .. } = clip.expression;
 
         let mut options = Options { background: BACKDROP, outputs: Outputs::IMAGE, ..Options::default() };
         let mut frames = 0;
         for number in (0..clip.len()).filter(|&n| !settings.only_key_frames || n == onset || n == apex) {
-            clip.gaussians(avatar, Moment::of_frame(number), &mut self.head, &mut self.gaussians)?;
+            avatar.gaussians_into(&clip.pose(avatar, number)?, &mut self.head, &mut self.gaussians);
             self.rasterizer
                 .render(&self.gaussians, &clip.camera, None, &options, &mut self.frame)
                 .map_err(refused)?;
@@ -229,29 +231,26 @@ impl Renderer {
             frames += 1;
         }
 
-        clip.gaussians(avatar, Moment::of_frame(onset), &mut self.head, &mut self.gaussians)?;
+        let [pose, next] = [clip.pose(avatar, onset)?, clip.pose(avatar, apex)?];
+        avatar.gaussians_into(&next, &mut self.head, &mut self.apex);
+        avatar.gaussians_into(&pose, &mut self.head, &mut self.gaussians);
         let landmarks = clip.landmarks(avatar, &self.head);
         options.outputs = Outputs { alpha: true, flow: true, ..Outputs::NONE };
-        let mut mean_flow = 0.0;
-        for motion in Motion::ALL {
-            let moment = match motion {
-                Motion::Whole => Moment::of_frame(apex),
-                Motion::Head => Moment { expression: onset, head: apex },
-                Motion::Expression => Moment { expression: apex, head: onset },
-            };
-            clip.gaussians(avatar, moment, &mut self.head, &mut self.apex)?;
-            let next = Next { gaussians: &self.apex, camera: &clip.camera };
-            self.rasterizer
-                .render(&self.gaussians, &clip.camera, Some(next), &options, &mut self.frame)
-                .map_err(refused)?;
+        let apex_seen = Next { gaussians: &self.apex, camera: &clip.camera };
+        self.rasterizer
+            .render(&self.gaussians, &clip.camera, Some(apex_seen), &options, &mut self.frame)
+            .map_err(refused)?;
+        let seen = [&pose, &next].map(|pose| Seen { pose, camera: &clip.camera });
+        let Self { parts, rasterizer, gaussians, frame, .. } = &mut *self;
+        let whole = &frame.flow;
+        let (head, expression) = parts.of(whole, rasterizer, avatar, gaussians, seen).map_err(refused)?;
+        for (motion, flow) in Motion::ALL.into_iter().zip([whole, head, &expression]) {
             let format = settings.flow_format;
             work.write(Stage::Flow, &plan.flow(work.dir, motion, format), |path| {
-                write_flow_as(path, &self.frame.flow, format)
+                write_flow_as(path, flow, format)
             })?;
-            if motion == Motion::Whole {
-                mean_flow = self.mean_flow();
-            }
         }
+        let mean_flow = self.mean_flow();
 
         work.write(Stage::Planes, &plan.mask(work.dir), |path| write_mask_png(path, &self.frame.mask()))?;
 
@@ -263,7 +262,7 @@ impl Renderer {
             coded_units: clip.coded_units(),
             onset: onset as u64,
             apex: apex as u64,
-            offset: expression.offset as u64,
+            offset: offset as u64,
             frames,
             mean_flow,
             landmarks,

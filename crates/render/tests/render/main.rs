@@ -2,6 +2,7 @@
 
 mod capture;
 mod check;
+mod decompose;
 mod device;
 mod label_error;
 mod long;

@@ -111,7 +111,8 @@ fn without_disturbance_only_the_expression_moves() {
 #[test]
 fn the_flow_is_that_of_the_head_and_that_of_the_expression() {
     let folder = tempfile::tempdir().unwrap();
-    let all = SynthSettings { clips: 3, ..settings() };
+    // As much drift as there can be: two motions that are each rendered alone would not add up.
+    let all = SynthSettings { clips: 3, drift: 20.0, intensity: 2.5, ..settings() };
     make(&all, folder.path(), 2).unwrap();
     let part =
         |clip: &str, part: &str| read_flow(&folder.path().join(format!("s01/{clip}_{part}.flo"))).unwrap();

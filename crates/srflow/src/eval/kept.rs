@@ -87,6 +87,7 @@ impl Kept {
                     "regions": job.regions,
                     "small_motion": job.small_motion,
                     "expression": job.expression,
+                    "expression_error": job.expression_error,
                     "methods": methods,
                 })
                 .to_string();

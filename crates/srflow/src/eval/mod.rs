@@ -58,6 +58,7 @@ score parts into one shared folder, after which the command without it writes th
 Examples:
   srflow eval --dataset srflow:srflow --method farneback tvl1 --crop 1200x1600 --out scores
   srflow eval --dataset srflow:srflow --method farneback tvl1 --regions --small-motion 0.5
+  srflow eval --dataset clips:set --method farneback srflow --expression-error
   srflow eval --dataset sintel-clean:/data/Sintel --method skflow=skflow-things.ckpt raft=raft.pth raft=mine.pth --iters 12
   srflow eval --dataset sintel-clean:/data/Sintel --method tvl1 Theirs:files:out/theirs --save-flow flows
 
@@ -101,6 +102,12 @@ pub struct EvalJob {
     #[arg(long)]
     #[serde(default)]
     pub expression: bool,
+    /// Also score the flow of the expression: subtract the motion that most of the face follows from the
+    /// estimated flow, as `srflow mer` does, and compare the rest with the exact flow of datasets of
+    /// `srflow render --decompose` and `srflow mer synth`
+    #[arg(long)]
+    #[serde(default)]
+    pub expression_error: bool,
     /// Leave out pairs that cannot be scored, for every method, and continue; the exit code is still 1
     #[arg(long)]
     #[serde(default)]
@@ -217,6 +224,7 @@ impl Job for EvalJob {
             regions: self.regions,
             small_motion: self.small_motion,
             expression: self.expression,
+            expression_error: self.expression_error,
             iterations: methods::any_auto(&specs, &parameters),
             part: shard.shard,
             kept: None,

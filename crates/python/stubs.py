@@ -15,7 +15,7 @@ WIDTH = 120
 NOTE = '"""Types of the functions; their documentation is in the module. Written by crates/python/stubs.py."""\n\n'
 MODULES = {
     "_srflow.pyi": ["avatar", "camera", "dataset", "face", "fields", "gaussians", "jobs", "methods", "rasterize", "lib"],
-    "mer.pyi": ["mer"],
+    "mer.pyi": ["mer", "model"],
 }
 # Python's own methods that take no signature.
 SLOTS = {"__len__": "(self) -> int", "__getitem__": "(self, index: int, /) -> Pair"}

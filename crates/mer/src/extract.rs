@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::Path;
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use srflow_core::resize::{resize_cubic, resize_flow_area};
 use srflow_core::{FlowEstimator, FlowField, Image, Plane, in_stages, named, serialize_as_text};
 use srflow_data::micro_expression::Clip;
@@ -31,7 +32,8 @@ named!(ResizeOrder, "before or after the flow", { Before => "before", After => "
 serialize_as_text!(ResizeOrder);
 
 /// How two faces become features.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct FeatureSettings {
     /// Whether pictures or flow are resized.
     pub resize: ResizeOrder,
@@ -189,7 +191,7 @@ impl Extraction<'_> {
 ///
 /// # Errors
 /// When the clip has no apex, or a frame cannot be read or cropped.
-pub(crate) fn faces_of_clip(clip: &Clip, face: &FaceCrop) -> Result<[Image; 2], ExtractError> {
+pub fn faces_of_clip(clip: &Clip, face: &FaceCrop) -> Result<[Image; 2], ExtractError> {
     let faces = || {
         let apex = clip.annotation.apex.ok_or(ExtractProblem::NoApex)?;
         let file = |number| clip.frame(number).ok_or(ExtractProblem::NoFrame(number));

@@ -193,6 +193,17 @@ impl FaceCrop {
     }
 }
 
+impl FaceCrop {
+    /// In a word, without files of this machine.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Whole => "whole frames",
+            Self::Fixed(_) => "a box of the frames",
+            Self::Landmarks(_) => "upright by landmarks",
+        }
+    }
+}
+
 impl fmt::Display for FaceCrop {
     /// Description for results: `whole frames`, `box 10,20,300x300`, `upright by FILE`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

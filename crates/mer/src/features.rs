@@ -1,6 +1,7 @@
 //! The input of classifiers: the flow from onset to apex and its optical strain.
 
 use srflow_core::Plane;
+use srflow_core::resize::LinearTap;
 
 /// Width and height of the feature maps, in pixels.
 pub const FEATURE_SIDE: usize = 112;
@@ -87,5 +88,42 @@ impl Features {
     pub fn plane(&self, channel: Channel) -> Plane {
         let values = self.channel(channel);
         Plane::from_fn(FEATURE_SIDE, FEATURE_SIDE, |x, y| values[y * FEATURE_SIDE + x])
+    }
+
+    /// The features of the mirrored clip: columns are reversed, `u` changes its sign, and the strain stays what it is.
+    #[must_use]
+    pub fn mirrored(&self) -> Self {
+        let mut values = self.0.clone();
+        values.chunks_exact_mut(FEATURE_SIDE).for_each(<[f32]>::reverse);
+        values[..AREA].iter_mut().for_each(|u| *u = -*u);
+        Self(values)
+    }
+
+    /// The features of the clip rotated clockwise around the centre of the maps, interpolated linearly: vectors turn with their places,
+    /// strain moves (no rotation changes the strain of `literature`). From outside the maps comes their nearest pixel.
+    #[must_use]
+    pub fn rotated(&self, degrees: f32) -> Self {
+        let (sin, cos) = libm::sincosf(degrees.to_radians());
+        let centre = (FEATURE_SIDE - 1) as f32 / 2.0;
+        let mut values = vec![0.0; Self::LEN];
+        for (y, x) in (0..FEATURE_SIDE).flat_map(|y| (0..FEATURE_SIDE).map(move |x| (y, x))) {
+            let (right, down) = (x as f32 - centre, y as f32 - centre);
+            let column = LinearTap::at(centre + cos * right + sin * down, FEATURE_SIDE);
+            let row = LinearTap::at(centre - sin * right + cos * down, FEATURE_SIDE);
+            let [u, v, strain] = [Channel::U, Channel::V, Channel::Strain].map(|channel| {
+                let map = self.channel(channel);
+                let across = |row: usize| {
+                    let line = &map[row * FEATURE_SIDE..][..FEATURE_SIDE];
+                    line[column.near] + column.weight * (line[column.far] - line[column.near])
+                };
+                let (near, far) = (across(row.near), across(row.far));
+                near + row.weight * (far - near)
+            });
+            let at = y * FEATURE_SIDE + x;
+            values[at] = cos * u - sin * v;
+            values[AREA + at] = sin * u + cos * v;
+            values[2 * AREA + at] = strain;
+        }
+        Self(values.into())
     }
 }

@@ -1,6 +1,8 @@
 //! Micro-expression recognition: apex, optical strain, classifiers, leave-one-subject-out, metrics and tables.
 
 mod apex;
+mod augment;
+mod balance;
 mod cache;
 mod clap;
 mod classifier;
@@ -12,8 +14,10 @@ mod features;
 mod features_file;
 mod fold;
 mod head_motion;
+mod learning;
 mod loso;
 mod metrics;
+mod model;
 mod outcome;
 mod predictions;
 mod protocol;
@@ -35,14 +39,16 @@ pub use apex::{
     ApexErrors, ApexRule, Cell, SpottedApex, apex_errors, cells, difference_ratio, fill_apexes, spot_apex,
     spot_apexes,
 };
+pub use augment::Augment;
+pub use balance::Balance;
 pub use cache::{FeatureCache, FeatureKey, file_digest};
 pub use classifier::{
     CLASSIFIERS, Classifier, ClassifierEntry, ClassifierFacts, INVERSE_STRENGTHS, LogisticRegression,
-    OffApexNet, OffTaNet, StstNet, initialized, validation_losses,
+    Observation, OffApexNet, OffTaNet, StstNet, initialized, validation_losses,
 };
 pub use comparison::{Comparison, comparisons};
 pub use extract::{
-    Extracted, FeatureSettings, Method, Preparation, ResizeOrder, extract, features_of_flow,
+    Extracted, FeatureSettings, Method, Preparation, ResizeOrder, extract, faces_of_clip, features_of_flow,
     features_of_frames,
 };
 pub use extract_error::{ExtractError, ExtractProblem};
@@ -55,6 +61,10 @@ pub use loso::{
     leave_one_subject_out_by,
 };
 pub use metrics::{Confusion, Scores};
+pub use model::{
+    Doubt, HeldOut, LEAST_PROBABILITY, ModelCard, ModelData, ModelError, ModelFlow, ModelLesson, Recognition,
+    RecognitionModel, TrainingRange, motion_px, probabilities, temperature,
+};
 pub use outcome::{METRICS, Outcome, OutcomeRecord, by_set};
 pub use predictions::{Prediction, PredictionsError, Trial, read_predictions, write_predictions};
 pub use protocol::{Protocol, ProtocolError};

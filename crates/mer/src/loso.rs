@@ -15,7 +15,8 @@ use srflow_files::{
 };
 
 use crate::classifier::ClassifierEntry;
-use crate::fold::{Example, Trained, Unfinished};
+use crate::fold::{Trained, train_fold};
+use crate::learning::{Example, Lesson, Unfinished};
 use crate::predictions::Prediction;
 use crate::protocol::{Protocol, ProtocolError};
 use crate::sample::Sample;
@@ -232,7 +233,6 @@ pub fn leave_one_subject_out(
     classifier.check(protocol)?;
     let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
     let mut folds = folds(&clips)?;
-    let subjects: BTreeSet<[&str; 2]> = clips.iter().map(|clip| [clip.dataset, clip.subject]).collect();
     let store = match folder {
         Some(FoldFolder { path, part }) => {
             folds.truncate(part.end);
@@ -241,15 +241,7 @@ pub fn leave_one_subject_out(
         }
         None => None,
     };
-    let numbers: BTreeMap<[&str; 2], usize> = subjects.iter().copied().zip(0..).collect();
-    let examples: Vec<Example> = samples
-        .iter()
-        .map(|sample| Example {
-            input: (classifier.input)(&sample.features),
-            class: sample.class,
-            subject: numbers[&[&*sample.dataset, &*sample.subject]],
-        })
-        .collect();
+    let examples = Example::of_samples(samples, classifier.input);
     let recorded = classifier.recorded(protocol);
     let run = |Fold { dataset, subject, tested, training }: &Fold| -> Result<Finished, LosoError> {
         let file = store.as_ref().map(|store| store.file(dataset, subject));
@@ -261,7 +253,8 @@ pub fn leave_one_subject_out(
         }
         let of = |indices: &[usize]| -> Vec<&Example> { indices.iter().map(|&i| &examples[i]).collect() };
         let name = format!("{dataset}/{subject}");
-        let trained = (classifier.train)(&name, classes.len(), &of(training), &of(tested), protocol, &|| {
+        let lesson = Lesson { name: &name, classes: classes.len(), examples: &of(training), protocol };
+        let trained = train_fold(classifier.train, &lesson, &of(tested), &recorded, &|| {
             on_event(LosoEvent::Epoch { clips });
             !stop()
         });

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::augment::Augment;
+use crate::balance::Balance;
 use crate::clap::Args;
 
 /// How classifiers are trained: by default with the SRFlow paper's values, or those of Off-TANet's code where the paper has
@@ -31,6 +33,13 @@ pub struct Protocol {
     /// Factor of a decay
     #[arg(skip = Self::default().decay)]
     pub decay: f64,
+    /// Classes with few clips: none (every clip counts alike), weights (a clip counts by the inverse frequency of its class) or
+    /// sampling (networks draw each class equally often)
+    #[arg(long, value_name = "HOW", default_value_t = Self::default().balance)]
+    pub balance: Balance,
+    /// Training clips: none (as they are), mirror (also mirrored) or mirror-rotate (also mirrored and rotated by some degrees)
+    #[arg(long, value_name = "HOW", default_value_t = Self::default().augment)]
+    pub augment: Augment,
     /// Seed of the initial parameters, the order of clips and dropout
     #[arg(long, value_name = "SEED", default_value_t = Self::default().seed)]
     pub seed: u64,
@@ -51,6 +60,10 @@ pub enum ProtocolError {
         "the {classifier} classifier is trained at once and has no use for `{setting}`; leave it out, or choose another `classifier`, such as off-tanet"
     )]
     AtOnce { classifier: &'static str, setting: &'static str },
+    #[error(
+        "the {classifier} classifier learns from all clips at once and cannot draw them; set `balance` to weights, or choose another `classifier`, such as off-tanet"
+    )]
+    Sampling { classifier: &'static str },
 }
 
 impl Default for Protocol {
@@ -62,6 +75,8 @@ impl Default for Protocol {
             learning_rate: 6.5e-4,
             decay_every: 60,
             decay: 0.3,
+            balance: Balance::None,
+            augment: Augment::None,
             seed: 0,
         }
     }
@@ -91,9 +106,19 @@ impl Protocol {
         range("decay of the learning rate", self.decay, 1.0, "a number above 0, up to 1")
     }
 
-    /// The name of the first value that is not the default.
-    pub(crate) fn first_changed(&self) -> Option<&'static str> {
-        let Self { epochs, record_every, batch, learning_rate, decay_every, decay, seed } = self;
+    /// The name of the first value that is not the default, of those that only training in epochs depends on.
+    pub(crate) fn first_of_epochs(&self) -> Option<&'static str> {
+        let Self {
+            epochs,
+            record_every,
+            batch,
+            learning_rate,
+            decay_every,
+            decay,
+            balance: _,
+            augment: _,
+            seed,
+        } = self;
         let default = Self::default();
         let changed = [
             ("epochs", *epochs != default.epochs),
@@ -109,11 +134,35 @@ impl Protocol {
 
     /// All values as a text that identifies stored folds. It must not change: folds of another text are trained again.
     pub fn identity(&self) -> String {
-        let Self { epochs, record_every, batch, learning_rate, decay_every, decay, seed } = self;
+        let Self {
+            epochs,
+            record_every,
+            batch,
+            learning_rate,
+            decay_every,
+            decay,
+            balance: _,
+            augment: _,
+            seed,
+        } = self;
         format!(
             "Protocol {{ epochs: {epochs}, record_every: {record_every}, batch: {batch}, learning_rate: {learning_rate:?}, \
-             decay_every: {decay_every}, decay: {decay:?}, seed: {seed} }}"
+             decay_every: {decay_every}, decay: {decay:?}, seed: {seed}{} }}",
+            self.changed_clips()
         )
+    }
+
+    /// What training does with its clips where that is not the default, e.g. `, balance: weights`; empty otherwise.
+    pub(crate) fn changed_clips(&self) -> String {
+        let default = Self::default();
+        let mut changed = String::new();
+        if self.balance != default.balance {
+            changed += &format!(", balance: {}", self.balance);
+        }
+        if self.augment != default.augment {
+            changed += &format!(", augment: {}", self.augment);
+        }
+        changed
     }
 
     /// Recorded epochs, in order.

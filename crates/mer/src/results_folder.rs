@@ -249,9 +249,9 @@ fn facts(results: &RunResults) -> Vec<(String, String)> {
     facts.push(("Protocol".to_owned(), settings.recognition.to_string()));
     facts.push(("Frames".to_owned(), settings.preparation.to_string()));
     facts.extend(results.methods.iter().map(|method| (method.name.clone(), method.description())));
-    facts.push(("Classifier".to_owned(), settings.classifier.facts.name.to_owned()));
+    facts.push(("Classifier".to_owned(), settings.training()));
     if settings.classifier.by_epochs {
-        let Protocol { epochs, record_every, batch, learning_rate, decay_every, decay, seed } =
+        let Protocol { epochs, record_every, batch, learning_rate, decay_every, decay, seed, .. } =
             &settings.protocol;
         facts.push((
             "Training".to_owned(),

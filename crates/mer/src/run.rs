@@ -195,8 +195,13 @@ impl From<ExtractError> for RunError {
 impl RunSettings {
     /// The first line of results: the protocol, the frames and the classifier.
     pub fn heading(&self) -> String {
-        let Self { recognition, preparation, classifier, .. } = self;
-        format!("Protocol {recognition}: {preparation}; classifier {classifier}")
+        let Self { recognition, preparation, .. } = self;
+        format!("Protocol {recognition}: {preparation}; classifier {}", self.training())
+    }
+
+    /// The classifier, and what its training does with clips, e.g. `linear, balance: weights`.
+    pub(crate) fn training(&self) -> String {
+        format!("{}{}", self.classifier, self.protocol.changed_clips())
     }
 
     /// Checks whether these datasets can be evaluated.

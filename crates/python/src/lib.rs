@@ -13,6 +13,7 @@ mod gaussians;
 mod jobs;
 mod mer;
 mod methods;
+mod model;
 mod rasterize;
 
 use std::ffi::OsString;
@@ -58,6 +59,8 @@ mod _srflow {
     mod mer {
         #[pymodule_export]
         use crate::mer::{features, loso, metrics, strain};
+        #[pymodule_export]
+        use crate::model::{Model, load_model};
     }
 
     use pyo3::prelude::*;

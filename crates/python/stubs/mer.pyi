@@ -23,3 +23,24 @@ class Results(TypedDict):
     folds: list[dict[str, Any]]
     classes: list[str]
     predictions: NDArray[np.int64]
+
+class Spotted(TypedDict):
+    events: list[dict[str, Any]]
+    regions: list[str]
+    curves: dict[str, NDArray[Any]]
+
+Recognition = TypedDict(
+    "Recognition",
+    {"probabilities": dict[str, float], "class": str | None, "most_probable": str, "doubt": str | None},
+)
+
+def spot(
+    video: str | os.PathLike[str], *, out: str | os.PathLike[str] | None = None, **options: Any
+) -> Spotted: ...
+def predict(
+    model: str | os.PathLike[str],
+    inputs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+    *,
+    out: str | os.PathLike[str] | None = None,
+    **options: Any,
+) -> list[dict[str, Any]]: ...

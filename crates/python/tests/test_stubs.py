@@ -29,7 +29,18 @@ def of_signature(function, without):
     return found
 
 
-ONLY_TYPES = {"CameraGradient", "Estimate", "Face", "Frame", "Gradients", "Metrics", "Pair", "Results", "Scores"}
+ONLY_TYPES = {
+    "CameraGradient",
+    "Estimate",
+    "Face",
+    "Frame",
+    "Gradients",
+    "Metrics",
+    "Pair",
+    "Results",
+    "Scores",
+    "Spotted",
+}
 
 
 @pytest.mark.parametrize("file, module", [("_srflow.pyi", _srflow), ("mer.pyi", srflow.mer)])

@@ -78,6 +78,7 @@ jobs![
     mer::synth_long::SynthLongJob,
     mer::apex::ApexJob,
     mer::spot::SpotJob,
+    mer::predict::PredictJob,
     mer::spot_score::SpotScoreJob,
     mer::strain::StrainJob,
     mer::features::FeaturesJob,

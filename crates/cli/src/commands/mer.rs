@@ -24,6 +24,7 @@ enum MerCommand {
     Strain(mer::strain::StrainJob),
     Features(mer::features::FeaturesJob),
     Run(mer::run::RunJob),
+    Predict(mer::predict::PredictJob),
     Tables(mer::tables::TablesJob),
 }
 
@@ -38,6 +39,7 @@ pub fn run(args: Mer, context: &Context) -> anyhow::Result<()> {
         MerCommand::Strain(job) => run_job(&job, context),
         MerCommand::Features(job) => run_job(&job, context),
         MerCommand::Run(job) => run_job(&job, context),
+        MerCommand::Predict(job) => run_job(&job, context),
         MerCommand::Tables(job) => run_job(&job, context),
     }
 }

@@ -27,6 +27,7 @@ mod import;
 mod included;
 mod licences;
 mod mer_data;
+mod mer_predict;
 mod mer_run;
 mod metrics_and_convert;
 mod models;

@@ -2,14 +2,15 @@
 //! `LogisticRegression` of scikit-learn. Parity: `PARITY.md`.
 
 use std::collections::BTreeSet;
-use std::time::Instant;
 
+use burn::tensor::TensorData;
+use rayon::prelude::*;
 use srflow_core::dense::dot;
+use srflow_nn::{ParameterInfo, Parameters, ParametersError, compare};
 
 use super::{ClassifierFacts, reduced};
-use crate::features::Features;
-use crate::fold::{Example, Trained, Unfinished};
-use crate::protocol::Protocol;
+use crate::features::{FEATURE_SIDE, Features};
+use crate::learning::{Epoch, Learned, Lesson, Unfinished};
 
 pub(super) const FACTS: ClassifierFacts = ClassifierFacts {
     name: "linear",
@@ -34,9 +35,24 @@ const GRADIENT: f64 = 1e-7;
 const NEWTON_STEPS: usize = 100;
 const CONJUGATE_STEPS: usize = 200;
 
+/// So many pixels on a side are averaged.
+const FACTOR: usize = 8;
+
 /// The input for a clip: `[2, 14, 14]`, row-major.
 pub(super) fn input(features: &Features) -> Vec<f32> {
-    reduced::<8>(features, 2)
+    reduced::<FACTOR>(features, 2)
+}
+
+/// A clip as logistic regression sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation<'a> {
+    pub input: &'a [f32],
+    /// Class number.
+    pub class: usize,
+    /// Number of its subject.
+    pub subject: usize,
+    /// How much it counts.
+    pub weight: f64,
 }
 
 /// One score per class that is linear in the inputs.
@@ -50,20 +66,14 @@ pub struct LogisticRegression {
 }
 
 impl LogisticRegression {
-    /// Minimizes `inverse_strength` times the summed cross-entropy plus half the sum of squared weights; intercepts are free.
-    /// Inputs are divided by their root mean square, so that the strength means the same for small and large motion.
-    /// `start` has the weights of a similar problem.
+    /// Minimizes `inverse_strength` times the summed cross-entropy, each clip's by its weight, plus half the sum of squared parameters;
+    /// intercepts are free. Inputs are divided by their root mean square, so that the strength means the same for small and large
+    /// motion. `start` has the parameters for a similar problem.
     ///
     /// # Panics
-    /// If inputs differ in length, there are none, or a label is no class.
-    pub fn fit(
-        inputs: &[&[f32]],
-        labels: &[usize],
-        classes: usize,
-        inverse_strength: f64,
-        start: Option<&Self>,
-    ) -> Self {
-        let problem = Problem::of(inputs, labels, classes, inverse_strength);
+    /// If inputs differ in length, there are none, or a class is not below `classes`.
+    pub fn fit(clips: &[Observation], classes: usize, inverse_strength: f64, start: Option<&Self>) -> Self {
+        let problem = Problem::of(clips, classes, inverse_strength);
         let mut weights = match start {
             Some(start) => start.weights.clone(),
             None => vec![0.0; classes * problem.row],
@@ -84,32 +94,36 @@ fn row_of(input: &[f32], unit: f64) -> Vec<f64> {
     input.iter().map(|value| f64::from(*value) / unit).chain([1.0]).collect()
 }
 
-/// The mean cross-entropy of clips, and half of `decay` times the squared weights.
+/// The weighted mean cross-entropy of clips, and half of `decay` times the squared parameters.
 struct Problem<'a> {
+    clips: &'a [Observation<'a>],
     /// `[clips, row]`.
     rows: Vec<f64>,
     row: usize,
-    labels: &'a [usize],
     classes: usize,
+    /// The sum of the clips' weights.
+    total: f64,
     decay: f64,
     unit: f64,
 }
 
 impl<'a> Problem<'a> {
-    fn of(inputs: &[&[f32]], labels: &'a [usize], classes: usize, inverse_strength: f64) -> Self {
-        assert!(!inputs.is_empty() && inputs.len() == labels.len(), "a label for each of the inputs");
-        assert!(labels.iter().all(|label| *label < classes), "labels are numbers of classes");
-        let length = inputs[0].len();
-        assert!(inputs.iter().all(|input| input.len() == length), "inputs have one length");
-        let squares: f64 = inputs.iter().copied().flatten().map(|value| f64::from(*value).powi(2)).sum();
-        let mean = squares / (inputs.len() * length).max(1) as f64;
+    fn of(clips: &'a [Observation<'a>], classes: usize, inverse_strength: f64) -> Self {
+        assert!(clips.iter().all(|clip| clip.class < classes), "labels are numbers of classes");
+        let length = clips.first().expect("clips to learn from").input.len();
+        assert!(clips.iter().all(|clip| clip.input.len() == length), "inputs have one length");
+        let values = clips.iter().flat_map(|clip| clip.input);
+        let squares: f64 = values.map(|value| f64::from(*value).powi(2)).sum();
+        let mean = squares / (clips.len() * length).max(1) as f64;
         let unit = if mean > 0.0 { mean.sqrt() } else { 1.0 };
+        let total: f64 = clips.iter().map(|clip| clip.weight).sum();
         Self {
-            rows: inputs.iter().flat_map(|input| row_of(input, unit)).collect(),
+            clips,
+            rows: clips.iter().flat_map(|clip| row_of(clip.input, unit)).collect(),
             row: length + 1,
-            labels,
             classes,
-            decay: 1.0 / (inverse_strength * inputs.len() as f64),
+            total,
+            decay: 1.0 / (inverse_strength * total),
             unit,
         }
     }
@@ -145,24 +159,24 @@ impl<'a> Problem<'a> {
 
     /// The loss, and the probabilities `[clips, classes]`.
     fn loss(&self, weights: &[f64]) -> (f64, Vec<f64>) {
-        let mut shares = Vec::with_capacity(self.labels.len() * self.classes);
+        let mut shares = Vec::with_capacity(self.clips.len() * self.classes);
         let mut sum = 0.0;
-        for (row, label) in self.rows.chunks_exact(self.row).zip(self.labels) {
+        for (row, clip) in self.rows.chunks_exact(self.row).zip(self.clips) {
             let scores: Vec<f64> = weights.chunks_exact(self.row).map(|weights| dot(weights, row)).collect();
             let greatest = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             let total: f64 = scores.iter().map(|score| (score - greatest).exp()).sum();
-            sum += total.ln() + greatest - scores[*label];
+            sum += clip.weight * (total.ln() + greatest - scores[clip.class]);
             shares.extend(scores.iter().map(|score| (score - greatest).exp() / total));
         }
         let squares: f64 =
             self.decayed(weights).iter().zip(weights).map(|(decayed, weight)| decayed * weight).sum();
-        (sum / self.labels.len() as f64 + squares / 2.0, shares)
+        (sum / self.total + squares / 2.0, shares)
     }
 
     fn gradient(&self, weights: &[f64], shares: &[f64]) -> Vec<f64> {
         let mut errors = shares.to_vec();
-        for (of_clip, label) in errors.chunks_exact_mut(self.classes).zip(self.labels) {
-            of_clip[*label] -= 1.0;
+        for (of_clip, clip) in errors.chunks_exact_mut(self.classes).zip(self.clips) {
+            of_clip[clip.class] -= 1.0;
         }
         self.gathered(&errors, weights)
     }
@@ -206,18 +220,19 @@ impl<'a> Problem<'a> {
         self.gathered(&changes, direction)
     }
 
-    /// Mean over clips of the rows times one factor `[clips, classes]` for each class, and the decay of weights.
+    /// Weighted mean over clips of the rows times one factor `[clips, classes]` for each class, and the decay.
     fn gathered(&self, factors: &[f64], weights: &[f64]) -> Vec<f64> {
         let mut sums = vec![0.0; weights.len()];
-        for (row, factors) in self.rows.chunks_exact(self.row).zip(factors.chunks_exact(self.classes)) {
+        let rows = self.rows.chunks_exact(self.row).zip(self.clips);
+        for ((row, clip), factors) in rows.zip(factors.chunks_exact(self.classes)) {
             for (sums, factor) in sums.chunks_exact_mut(self.row).zip(factors) {
+                let factor = clip.weight * factor;
                 for (sum, value) in sums.iter_mut().zip(row) {
                     *sum += factor * value;
                 }
             }
         }
-        let count = self.labels.len() as f64;
-        sums.iter().zip(self.decayed(weights)).map(|(sum, decayed)| sum / count + decayed).collect()
+        sums.iter().zip(self.decayed(weights)).map(|(sum, decayed)| sum / self.total + decayed).collect()
     }
 
     /// The decay's derivative; intercepts have none.
@@ -230,34 +245,27 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// For each of [`INVERSE_STRENGTHS`], the mean cross-entropy of clips of held-out subjects: the subjects are assigned in turn to at
-/// most ten parts, and each part is held out once. `None` if all clips are of one subject.
-pub fn validation_losses(
-    inputs: &[&[f32]],
-    labels: &[usize],
-    subjects: &[usize],
-    classes: usize,
-) -> Option<[f64; INVERSE_STRENGTHS.len()]> {
+/// For each of [`INVERSE_STRENGTHS`], the weighted mean cross-entropy of clips of held-out subjects: the subjects are assigned in turn
+/// to at most ten parts, and each part is held out once. `None` if all clips are of one subject.
+pub fn validation_losses(clips: &[Observation], classes: usize) -> Option<[f64; INVERSE_STRENGTHS.len()]> {
     let mut order: Vec<usize> = Vec::new();
     let mut seen = BTreeSet::new();
-    order.extend(subjects.iter().filter(|subject| seen.insert(**subject)));
+    order.extend(clips.iter().map(|clip| clip.subject).filter(|subject| seen.insert(*subject)));
     let parts = order.len().min(PARTS);
     if parts < 2 {
         return None;
     }
     let part_of = |subject: usize| order.iter().position(|known| *known == subject).unwrap_or(0) % parts;
+    let total: f64 = clips.iter().map(|clip| clip.weight).sum();
     let mut losses = [0.0; INVERSE_STRENGTHS.len()];
     for part in 0..parts {
-        let (left_out, kept): (Vec<usize>, Vec<usize>) =
-            (0..inputs.len()).partition(|&clip| part_of(subjects[clip]) == part);
-        let kept_inputs: Vec<&[f32]> = kept.iter().map(|&clip| inputs[clip]).collect();
-        let kept_labels: Vec<usize> = kept.iter().map(|&clip| labels[clip]).collect();
+        let (left_out, kept): (Vec<Observation>, Vec<Observation>) =
+            clips.iter().partition(|clip| part_of(clip.subject) == part);
         let mut model: Option<LogisticRegression> = None;
         for (loss, strength) in losses.iter_mut().zip(INVERSE_STRENGTHS) {
-            let fitted =
-                LogisticRegression::fit(&kept_inputs, &kept_labels, classes, strength, model.as_ref());
-            for &clip in &left_out {
-                *loss += cross_entropy(&fitted.scores(inputs[clip]), labels[clip]) / inputs.len() as f64;
+            let fitted = LogisticRegression::fit(&kept, classes, strength, model.as_ref());
+            for clip in &left_out {
+                *loss += clip.weight * cross_entropy(&fitted.scores(clip.input), clip.class) / total;
             }
             model = Some(fitted);
         }
@@ -271,34 +279,74 @@ fn cross_entropy(scores: &[f32], label: usize) -> f64 {
     scores.iter().map(|score| (score - greatest).exp()).sum::<f64>().ln() + greatest - scores[label]
 }
 
-/// Trains on `training` with the strength that explains left-out subjects best, and scores `tested`.
-pub(super) fn train_fold(
-    _name: &str,
-    classes: usize,
-    training: &[&Example],
-    tested: &[&Example],
-    _protocol: &Protocol,
-    goes_on: &dyn Fn() -> bool,
-) -> Result<Trained, Unfinished> {
-    let start = Instant::now();
-    let inputs: Vec<&[f32]> = training.iter().map(|example| &example.input[..]).collect();
-    let labels: Vec<usize> = training.iter().map(|example| example.class).collect();
-    let subjects: Vec<usize> = training.iter().map(|example| example.subject).collect();
-    let losses = validation_losses(&inputs, &labels, &subjects, classes);
-    let strength = losses.map_or(DEFAULT_INVERSE_STRENGTH, |losses| {
+impl Learned for LogisticRegression {
+    fn scores(&self, inputs: &[&[f32]]) -> Vec<Vec<f32>> {
+        inputs.iter().map(|input| self.scores(input)).collect()
+    }
+
+    fn parameters(&self) -> Parameters {
+        let row = self.weights.len() / self.classes;
+        let rows = || self.weights.chunks_exact(row);
+        let of_inputs = |row: &[f64]| row[..row.len() - 1].iter().map(|w| (w / self.unit) as f32).collect();
+        let weights: Vec<f32> = rows().flat_map(|row| -> Vec<f32> { of_inputs(row) }).collect();
+        let intercepts: Vec<f32> = rows().map(|row| row[row.len() - 1] as f32).collect();
+        Parameters::from([
+            ("weight".to_owned(), TensorData::new(weights, [self.classes, row - 1])),
+            ("bias".to_owned(), TensorData::new(intercepts, [self.classes])),
+        ])
+    }
+}
+
+/// The classifier of so many classes with these parameters.
+pub(super) fn restore(parameters: Parameters, classes: usize) -> Result<Box<dyn Learned>, ParametersError> {
+    let info = |name: &str, shape: &[usize]| ParameterInfo { name: name.to_owned(), shape: shape.to_vec() };
+    let found: Vec<ParameterInfo> =
+        parameters.iter().map(|(name, data)| info(name, data.shape().as_slice())).collect();
+    let inputs = input_len();
+    compare(&[info("weight", &[classes, inputs]), info("bias", &[classes])], &found)?;
+    let values = |name: &str| parameters[name].as_slice::<f32>().expect("parameters are f32");
+    let rows = values("weight").chunks_exact(inputs).zip(values("bias"));
+    let weights = rows.flat_map(|(row, bias)| row.iter().chain([bias]).map(|value| f64::from(*value)));
+    Ok(Box::new(LogisticRegression { weights: weights.collect(), classes, unit: 1.0 }))
+}
+
+/// Length of [`input`].
+fn input_len() -> usize {
+    2 * (FEATURE_SIDE / FACTOR).pow(2)
+}
+
+/// Fits the lesson with the strength that explains left-out subjects best.
+pub(super) fn train(
+    lesson: &Lesson,
+    on_epoch: &mut dyn FnMut(Epoch) -> bool,
+) -> Result<Box<dyn Learned>, Unfinished> {
+    let Lesson { classes, examples, protocol, .. } = *lesson;
+    let labels: Vec<usize> = examples.iter().map(|example| example.class).collect();
+    let weights = protocol.balance.class_weights(&labels, classes);
+    let copies: Vec<Vec<Vec<f32>>> = examples
+        .par_iter()
+        .map(|example| protocol.augment.copies(example.features).iter().map(input).collect())
+        .collect();
+    let seen = examples.iter().zip(&copies).flat_map(|(example, copies)| {
+        let observation = |input| Observation {
+            input,
+            class: example.class,
+            subject: example.subject,
+            weight: weights[example.class],
+        };
+        [&example.input].into_iter().chain(copies).map(move |input| observation(input))
+    });
+    let clips: Vec<Observation> = seen.collect();
+    let strength = validation_losses(&clips, classes).map_or(DEFAULT_INVERSE_STRENGTH, |losses| {
         // Of equal ones the strongest, which is first.
         let best =
             (1..losses.len()).fold(0, |best, other| if losses[other] < losses[best] { other } else { best });
         INVERSE_STRENGTHS[best]
     });
-    let model = LogisticRegression::fit(&inputs, &labels, classes, strength, None);
-    let loss: f64 =
-        inputs.iter().zip(&labels).map(|(input, label)| cross_entropy(&model.scores(input), *label)).sum();
-    let scores = tested.iter().map(|example| model.scores(&example.input)).collect();
-    goes_on();
-    Ok(Trained {
-        scores: vec![scores],
-        losses: vec![loss / inputs.len().max(1) as f64],
-        seconds: start.elapsed().as_secs_f64(),
-    })
+    let model = LogisticRegression::fit(&clips, classes, strength, None);
+    let loss = |clip: &Observation| clip.weight * cross_entropy(&model.scores(clip.input), clip.class);
+    let total: f64 = clips.iter().map(|clip| clip.weight).sum();
+    let loss = clips.iter().map(loss).sum::<f64>() / total;
+    on_epoch(Epoch { number: 0, loss, learned: &model });
+    Ok(Box::new(model))
 }

@@ -11,7 +11,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use srflow_core::random::{Key, Stream};
 use srflow_nn::{ParameterInfo, Parameters, parameter_infos, with_parameters};
 
-pub use linear::{INVERSE_STRENGTHS, LogisticRegression, validation_losses};
+pub use linear::{INVERSE_STRENGTHS, LogisticRegression, Observation, validation_losses};
 pub use offapexnet::OffApexNet;
 pub use offtanet::OffTaNet;
 pub use ststnet::StstNet;
@@ -21,7 +21,7 @@ use crate::features::{FEATURE_SIDE, Features};
 
 /// A network from features to one score per class. Its parameters carry the reference's names, so that
 /// [`srflow_nn::load`] reads published checkpoints.
-pub trait Classifier: Module {
+pub trait Classifier: Module + 'static {
     const FACTS: ClassifierFacts;
     /// Channels, height and width of its input.
     const INPUT: [usize; 3];

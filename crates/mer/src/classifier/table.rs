@@ -6,9 +6,11 @@ use std::str::FromStr;
 use srflow_core::serialize_as_text;
 
 use super::{Classifier, ClassifierFacts, OffApexNet, OffTaNet, StstNet, linear};
+use crate::balance::Balance;
 use crate::features::Features;
-use crate::fold::{Example, Trained, Unfinished, train_fold};
+use crate::learning::{Restore, Train};
 use crate::protocol::{Protocol, ProtocolError};
+use crate::training::{restore_network, train_network};
 
 /// Any of the classifiers, as one type.
 #[derive(Debug, Clone, Copy)]
@@ -17,13 +19,9 @@ pub struct ClassifierEntry {
     /// Whether it is trained in epochs, by the training protocol; otherwise at once.
     pub by_epochs: bool,
     pub(crate) input: fn(&Features) -> Vec<f32>,
-    pub(crate) train: TrainFold,
+    pub(crate) train: Train,
+    pub(crate) restore: Restore,
 }
-
-/// Trains on examples and scores others, for a fold with a name and a number of classes. The function is called after each
-/// epoch and says whether to go on.
-pub(crate) type TrainFold =
-    fn(&str, usize, &[&Example], &[&Example], &Protocol, &dyn Fn() -> bool) -> Result<Trained, Unfinished>;
 
 /// The classifiers by name.
 pub static CLASSIFIERS: [ClassifierEntry; 4] = [
@@ -35,15 +33,26 @@ pub static CLASSIFIERS: [ClassifierEntry; 4] = [
 
 impl ClassifierEntry {
     /// Logistic regression.
-    pub const LINEAR: Self =
-        Self { facts: linear::FACTS, by_epochs: false, input: linear::input, train: linear::train_fold };
+    pub const LINEAR: Self = Self {
+        facts: linear::FACTS,
+        by_epochs: false,
+        input: linear::input,
+        train: linear::train,
+        restore: linear::restore,
+    };
 
     /// The SRFlow paper's.
     pub const OFF_TANET: Self = Self::of::<OffTaNet>();
 
     /// The entry of a network.
     pub const fn of<C: Classifier>() -> Self {
-        Self { facts: C::FACTS, by_epochs: true, input: C::input, train: train_fold::<C> }
+        Self {
+            facts: C::FACTS,
+            by_epochs: true,
+            input: C::input,
+            train: train_network::<C>,
+            restore: restore_network::<C>,
+        }
     }
 
     /// The classifier with this name.
@@ -66,8 +75,12 @@ impl ClassifierEntry {
     /// # Errors
     /// Names the first value out of range, or the first that this classifier has no use for.
     pub fn check(&self, protocol: &Protocol) -> Result<(), ProtocolError> {
-        match protocol.first_changed().filter(|_| !self.by_epochs) {
-            Some(setting) => Err(ProtocolError::AtOnce { classifier: self.facts.name, setting }),
+        let classifier = self.facts.name;
+        if !self.by_epochs && protocol.balance == Balance::Sampling {
+            return Err(ProtocolError::Sampling { classifier });
+        }
+        match protocol.first_of_epochs().filter(|_| !self.by_epochs) {
+            Some(setting) => Err(ProtocolError::AtOnce { classifier, setting }),
             None => protocol.check(),
         }
     }
@@ -75,7 +88,10 @@ impl ClassifierEntry {
     /// Everything about the training that results depend on, apart from clips: it identifies stored folds.
     pub(crate) fn identity(&self, protocol: &Protocol) -> String {
         let name = self.facts.name;
-        if self.by_epochs { format!("{name}\n{}", protocol.identity()) } else { name.to_owned() }
+        match self.by_epochs {
+            true => format!("{name}\n{}", protocol.identity()),
+            false => format!("{name}{}", protocol.changed_clips()),
+        }
     }
 }
 

@@ -7,9 +7,9 @@ use srflow_core::Plane;
 use srflow_core::random::Key;
 use srflow_data::micro_expression::Classes;
 use srflow_mer::{
-    ClassifierEntry, FEATURE_SIDE, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError, LosoEvent,
-    Protocol, Sample, StstNet, Summary, leave_one_subject_out, leave_one_subject_out_by, read_predictions,
-    write_predictions,
+    Balance, ClassifierEntry, FEATURE_SIDE, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError,
+    LosoEvent, Protocol, Sample, StstNet, Summary, leave_one_subject_out, leave_one_subject_out_by,
+    read_predictions, write_predictions,
 };
 
 use crate::made_up::{NEGATIVE, POSITIVE, SURPRISE};
@@ -120,6 +120,48 @@ fn the_linear_classifier_learns_at_once_and_refuses_epochs() {
         leave_one_subject_out(&linear, &samples, classes.names(), &protocol, None, &|_| {}, &|| false);
     let error = error.unwrap_err().to_string();
     assert!(error.contains("linear classifier is trained at once and has no use for `epochs`"), "{error}");
+    let drawn = Protocol { balance: Balance::Sampling, ..Protocol::default() };
+    let error = leave_one_subject_out(&linear, &samples, classes.names(), &drawn, None, &|_| {}, &|| false);
+    assert!(error.unwrap_err().to_string().contains("set `balance` to weights"));
+    let weights = Protocol { balance: Balance::Weights, ..Protocol::default() };
+    let (_, events) = run(linear, &samples, &weights, Some(folder.path()), 1);
+    assert_eq!(folds(&events, true), 0, "folds of another training are other folds");
+}
+
+/// Share of the clips of a class that are recognized.
+fn recall(loso: &Loso, class: usize) -> f64 {
+    let pooled = Summary::of(&loso.classes, &loso.predictions).unwrap().last().pooled.0[class].clone();
+    pooled[class] as f64 / pooled.iter().sum::<usize>() as f64
+}
+
+#[test]
+fn balanced_training_finds_more_of_a_rare_class() {
+    // Two classes that noise nearly hides, eleven clips of one for each of the other.
+    let mut samples = Vec::new();
+    for (subject, clip) in (0..4).flat_map(|subject| (0..12).map(move |clip| (subject, clip))) {
+        let class = if clip == 0 { SURPRISE } else { NEGATIVE };
+        let mut noisy = sample("a", subject, clip, class);
+        let mut noise = Key::new(4).scene(subject).frame(clip).stream("whole clip");
+        let shift = 0.35 * noise.normal();
+        let shifted = noisy.features.values().iter().map(|value| value + shift);
+        noisy.features = Features::from_values(shifted.collect()).unwrap();
+        samples.push(noisy);
+    }
+    let found = |classifier, balance| {
+        let of_network = Protocol { learning_rate: 2e-3, ..protocol(10) };
+        let protocol = if classifier == STSTNET { of_network } else { Protocol::default() };
+        recall(&run(classifier, &samples, &Protocol { balance, ..protocol }, None, 2).0, SURPRISE)
+    };
+    for (classifier, ways) in [
+        (ClassifierEntry::LINEAR, &[Balance::Weights][..]),
+        (STSTNET, &[Balance::Weights, Balance::Sampling]),
+    ] {
+        let none = found(classifier, Balance::None);
+        for balance in ways {
+            let balanced = found(classifier, *balance);
+            assert!(balanced > none, "{classifier}, {balance}: {balanced}, {none} without");
+        }
+    }
 }
 
 /// The network that the paper uses, with dropout, batch norms and every kernel that could share its work.

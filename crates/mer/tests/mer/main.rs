@@ -10,6 +10,7 @@ mod linear;
 mod loso;
 mod made_up;
 mod metrics;
+mod model;
 mod opencv;
 mod parity;
 mod predictions;

@@ -90,7 +90,7 @@ fn check<C: Classifier>() {
     let network = with_batch_statistics(filled::<C>(&device), true);
     let scores = network.scores(inputs::<C>(&device), None);
     assert_close(&golden, "training", &numbers(scores.clone()), 2e-5);
-    let loss = cross_entropy(scores, labels());
+    let loss = cross_entropy(scores, labels(), None);
     assert_close(&golden, "loss", &numbers(loss.clone()), 1e-5);
     let (layout, _) = Layout::of(&network);
     let mut gradients = HostGradients::zero(&layout);
@@ -130,6 +130,17 @@ fn ststnet() {
 #[test]
 fn off_apexnet() {
     check::<OffApexNet>();
+}
+
+#[test]
+fn class_weights_are_pytorchs() {
+    let device = Device::flex();
+    let scores: Tensor<2> =
+        Tensor::from_data([[1.0_f32, 0.0, -1.0], [0.5, 2.0, 0.0], [0.0, 0.0, 3.0]], &device);
+    let labels = Tensor::<1, Int>::from_data([0_i64, 2, 1], &device);
+    // CrossEntropyLoss(weight=torch.tensor([0.5, 1.0, 4.0])) of PyTorch 2.11.
+    let loss = numbers(cross_entropy(scores, labels, Some(&[0.5, 1.0, 4.0])));
+    assert!((loss[0] - 2.277_118).abs() < 1e-6, "{loss:?}");
 }
 
 #[test]

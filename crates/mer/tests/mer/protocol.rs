@@ -1,6 +1,6 @@
 //! The training protocol.
 
-use srflow_mer::Protocol;
+use srflow_mer::{Augment, Balance, Protocol};
 
 #[test]
 fn the_papers_schedule() {
@@ -36,4 +36,8 @@ fn the_identity_in_the_names_of_stored_folds_does_not_change() {
         protocol.identity(),
         "Protocol { epochs: 201, record_every: 20, batch: 64, learning_rate: 1e-5, decay_every: 60, decay: 1.0, seed: 0 }"
     );
+    let balanced = Protocol { balance: Balance::Weights, ..Protocol::default() };
+    assert!(balanced.identity().ends_with("seed: 0, balance: weights }"), "{}", balanced.identity());
+    let mirrored = Protocol { augment: Augment::Mirror, ..Protocol::default() };
+    assert!(mirrored.identity().ends_with("seed: 0, augment: mirror }"), "{}", mirrored.identity());
 }

@@ -3,6 +3,8 @@
 pub mod apex;
 pub mod data;
 pub mod features;
+mod model;
+pub mod predict;
 mod preparation;
 mod progress;
 pub mod run;

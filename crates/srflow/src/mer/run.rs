@@ -1,23 +1,25 @@
 //! Micro-expression recognition with leave-one-subject-out cross-validation.
 
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize, Serializer};
 use srflow_core::Shard;
 use srflow_data::micro_expression::ClipSource;
 use srflow_files::create_folder;
 use srflow_mer::{
-    ClassifierEntry, Origin, Preparation, Protocol, RecognitionProtocol, ResultsFolder, ResultsRecord,
-    RunError, RunFolders, RunMethod, RunResults, RunSettings, RunWatch, Sets, TrainedPart, all_score_tables,
-    by_set, unseen_classes,
+    ClassifierEntry, Origin, Preparation, Protocol, RecognitionModel, RecognitionProtocol, ResultsFolder,
+    ResultsRecord, RunError, RunFolders, RunMethod, RunResults, RunSettings, RunWatch, Sets, TrainedPart,
+    all_score_tables, by_set, unseen_classes,
 };
 
+use super::model::train_model;
 use super::progress::RunProgress;
 use super::{PreparationArgs, SourceArgs};
 use crate::clap::Args;
+use crate::error::wrong_settings;
 use crate::methods::{self, MethodParameters, MethodSpec, Rows, RowsArgs, default_methods};
-use crate::output::{ensure_folder, write_line, write_page, write_tables};
+use crate::output::{ensure_folder, ensure_free, write_line, write_page, write_tables};
 use crate::rendering::{Rendered, ShardArgs};
 use crate::{Job, Report, Watch, WhenStopped, machine};
 
@@ -70,6 +72,10 @@ pub struct RunJob {
     #[arg(long)]
     #[serde(default)]
     pub force: bool,
+    /// Also train a classifier on all clips, and save it in this folder for `srflow mer predict`
+    #[arg(long, value_name = "DIR", conflicts_with = "shard")]
+    #[serde(default)]
+    pub save_model: Option<PathBuf>,
     /// Folder that caches features, for other runs too [default: features in --out]
     #[arg(long, value_name = "DIR")]
     #[serde(default)]
@@ -104,6 +110,7 @@ impl RunJob {
             sets: Sets::default(),
             out: out.into(),
             force: false,
+            save_model: None,
             cache: None,
             protocol: Protocol::default(),
             shard: ShardArgs::default(),
@@ -122,6 +129,19 @@ impl RunJob {
             Some("paper-tables-7-to-10") => RecognitionProtocol::Paper,
             _ => RecognitionProtocol::default(),
         })
+    }
+}
+
+impl RunJob {
+    /// Whether a model can be made of this run.
+    fn check_model(&self, folder: &Path, methods: &[MethodSpec], datasets: usize) -> anyhow::Result<()> {
+        if methods.len() != 1 {
+            wrong_settings!("`save_model` saves one model: give one `method`, not {}", methods.len());
+        }
+        if self.sets == Sets::Each && datasets > 1 {
+            wrong_settings!("`save_model` takes all datasets together: give `sets` composite or both");
+        }
+        ensure_free([RecognitionModel::card_path(folder)], self.force)
     }
 }
 
@@ -158,6 +178,9 @@ impl Job for RunJob {
         let methods = methods.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record });
         let (datasets, _frames) = self.sources.open(&self.data, self.preparation.apex.is_some(), watch)?;
         settings.check(&datasets)?;
+        if let Some(folder) = &self.save_model {
+            self.check_model(folder, &specs, datasets.len())?;
+        }
         create_folder(&self.out)?; // before the long work, so that an error costs nothing
         let landmarks = || self.out.join("landmarks.csv");
         settings.preparation =
@@ -189,6 +212,9 @@ impl Job for RunJob {
             job: serde_json::to_value(self)?,
         };
         folder.write(&results, &origin)?;
+        if let Some(model) = &self.save_model {
+            train_model(&results, specs[0].to_string(), &origin.date)?.write(model)?;
+        }
         Ok(RunReport::Results(Results { results, origin, page: folder.report() }))
     }
 }

@@ -32,7 +32,8 @@ def main(srflow, folder):
         data["dataset"] = f"rendered, intensity {intensity}"
     MODEL.mkdir(parents=True, exist_ok=True)
     (MODEL / "model.json").write_text(json.dumps(card, indent=2) + "\n")
-    shutil.copy(folder / "model/classifier.safetensors", MODEL)
+    for name in ["classifier.safetensors", "patterns.safetensors"]:
+        shutil.copy(folder / "model" / name, MODEL)
 
 
 if __name__ == "__main__":

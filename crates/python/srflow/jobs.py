@@ -76,6 +76,7 @@ def render(
     seed: int = 1,
     flow_format: str = "npz16",
     backward: bool = False,
+    decompose: bool = False,
     depth: bool = False,
     regions: bool = False,
     background: str = "#ffffff",
@@ -105,6 +106,7 @@ def render(
         seed: Random seed.
         flow_format: File format of the flow: flo, png, png128, pfm, flo5, npy, npz, npz16.
         backward: Also write the flow from frame 2 to frame 1.
+        decompose: Also write the flow with the head moving alone, and what the expression adds to it.
         depth: Also write depth.
         regions: Also write region maps: skin, eyes, mouth, hair or neck for each pixel.
         background: Background: white, black, #rrggbb, `procedural` (rooms, textures, gradients, lights), or a folder of images.
@@ -679,6 +681,7 @@ def eval(
     regions: bool = False,
     small_motion: float | None = None,
     expression: bool = False,
+    expression_error: bool = False,
     keep_going: bool = False,
     save_flow: Path | None = None,
     figure: Path | None = None,
@@ -735,6 +738,7 @@ def eval(
         regions: Also score the regions of `srflow render --regions`: skin, eyes, mouth, hair, neck, the rim of the head (3 px wide, in no other region) and the background.
         small_motion: Also score the pixels whose true flow is shorter than this, e.g. 0.5; with masks, only on the head.
         expression: Also score the motion of the expression: subtract the head's motion, the best affine fit within the mask (or the frame), from estimated and true flow, and compare the rest by correlation and strength.
+        expression_error: Also score the flow of the expression: subtract the motion that most of the face follows from the estimated flow, as `srflow mer` does, and compare the rest with the exact flow of datasets of `srflow render --decompose` and `srflow mer synth`.
         keep_going: Leave out pairs that cannot be scored, for every method, and continue; the exit code is still 1.
         save_flow: Also write the flow of each method and pair, as DIR/METHOD/SCENE/FRAME.flo.
         figure: Also write a figure for a paper into this folder: figure.svg, figure.pdf and every panel as PNG; see also `srflow figure`.
@@ -1283,8 +1287,8 @@ def mer_data(
 
     Args:
         datasets: Datasets.
-        annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
-        apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
+        annotations: Annotation file outside its dataset's folder, such as samm:FILE or clips:FILE.
+        apex_list: CSV list of apex frames, for clips without a usable one [default: SMIC's smic_apex.csv or data_apex.csv in its folder].
         classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
@@ -1446,8 +1450,8 @@ def mer_apex(
         head_motion: The head's motion in the flow: keep or subtract.
         curves: Write the rule's curve of every frame as CSV.
         force: Overwrite existing files.
-        annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
-        apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
+        annotations: Annotation file outside its dataset's folder, such as samm:FILE or clips:FILE.
+        apex_list: CSV list of apex frames, for clips without a usable one [default: SMIC's smic_apex.csv or data_apex.csv in its folder].
         classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
@@ -1496,12 +1500,12 @@ def mer_spot(
     videos: Path | Sequence[Path],
     out: Path,
     *,
+    force: bool = False,
     fps: float | None = None,
     method: str = "farneback",
     head_motion: str = "subtract",
     micro_score: float = 3.2,
     macro_score: float = 20,
-    force: bool = False,
     face: str | None = None,
     face_index: int | None = None,
     face_models: Path | None = None,
@@ -1541,12 +1545,12 @@ def mer_spot(
     Args:
         videos: Videos, or folders of frames.
         out: Folder of the results.
+        force: Start over where the folder has results of other settings.
         fps: Frames per second [default: the video's].
         method: How to estimate the flow: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; a network followed by its weights, as in raft=FILE; srflow has its own.
         head_motion: The head's motion in the flow: keep or subtract.
         micro_score: Spot micro-expressions that stand out from noise and surroundings by this factor.
         macro_score: Spot macro-expressions that stand out from noise by this factor.
-        force: Start over where the folder has results of other settings.
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
         face_index: Face to use if there are several; 1 is the leftmost.
         face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
@@ -1588,6 +1592,122 @@ def mer_spot(
     return _run("mer spot", settings)
 
 
+def mer_predict(
+    model: Path,
+    inputs: str | Sequence[str],
+    out: Path,
+    *,
+    clips: bool = False,
+    least_probability: float = 0.5,
+    model_method: str | None = None,
+    apex: str = "course",
+    force: bool = False,
+    fps: float | None = None,
+    method: str = "farneback",
+    head_motion: str = "subtract",
+    micro_score: float = 3.2,
+    macro_score: float = 20,
+    face: str | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
+    face_box: str | None = None,
+    landmarks: Path | None = None,
+    refine: bool = False,
+    weights: str | None = None,
+    iters: str | None = None,
+    set: dict[str, Any] | None = None,
+    precision: str = "f32",
+    device: str = "cpu",
+    tile: str | None = None,
+    tile_overlap: int = 128,
+    scale: float | None = None,
+    pyr_scale: float | None = None,
+    levels: int | None = None,
+    winsize: int | None = None,
+    iterations: int | None = None,
+    poly_n: int | None = None,
+    poly_sigma: float | None = None,
+    farneback_gaussian: bool = False,
+    tau: float | None = None,
+    lambda_: float | None = None,
+    theta: float | None = None,
+    nscales: int | None = None,
+    warps: int | None = None,
+    epsilon: float | None = None,
+    inner_iterations: int | None = None,
+    outer_iterations: int | None = None,
+    scale_step: float | None = None,
+    gamma: float | None = None,
+    median_filtering: int | None = None,
+    annotations: str | Sequence[str] | None = None,
+    apex_list: Path | None = None,
+    classes: str = "3",
+    allow_missing: bool = False,
+    only_key_frames: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Classify micro-expressions in videos or clips with a trained model.
+
+    Args:
+        model: Folder of a model that `srflow mer run` saved, or rendered: a small one that comes with srflow, from rendered clips alone.
+        inputs: Videos, folders of frames, or datasets.
+        out: Folder of the results.
+        clips: Take each video or folder as one clip, from its first to its last frame.
+        least_probability: Name a class only if it is at least so probable.
+        model_method: The model's flow method, if its weights are elsewhere now.
+        apex: How to spot the apex of clips without one: course, strain or ratio.
+        force: Start over where the folder has results of other settings.
+        fps: Frames per second [default: the video's].
+        method: How to estimate the flow: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; a network followed by its weights, as in raft=FILE; srflow has its own.
+        head_motion: The head's motion in the flow: keep or subtract.
+        micro_score: Spot micro-expressions that stand out from noise and surroundings by this factor.
+        macro_score: Spot macro-expressions that stand out from noise by this factor.
+        face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
+        face_index: Face to use if there are several; 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
+        landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
+        refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
+        iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
+        set: Network setting that the weights do not store; `srflow models` lists them.
+        precision: Numbers that networks multiply: `f16` and `bf16` are less exact, but faster on GPUs with matrix units for them; `bf16` is up to twice as fast on CPUs with AVX512-BF16; `auto` uses them only there. Sums, softmax, norms and flow are always f32.
+        device: Device to compute on; this build has cpu.
+        tile: Estimate tile by tile and blend the overlaps; `auto` uses the largest tiles that fit into free memory, or none if the whole frame fits.
+        tile_overlap: Overlap of neighbouring tiles in pixels, up to half a tile.
+        scale: Resize the frames by this factor before estimation, and the flow back to full size.
+        pyr_scale: Size of a pyramid level relative to the next finer one [default: 0.5].
+        levels: Pyramid levels in addition to the full size [default: 5].
+        winsize: Side of the averaging window in pixels [default: 13].
+        iterations: Iterations at each level [default: 10].
+        poly_n: Radius of the polynomial fit in pixels [default: 5].
+        poly_sigma: Standard deviation of the fit's weight in pixels [default: 1.1].
+        farneback_gaussian: Use a Gaussian averaging window in place of a box.
+        tau: Time step of the dual update [default: 0.25].
+        lambda_: Weight of the data term; smaller is smoother [default: 0.15].
+        theta: Tightness of the coupling of data term and smoothness [default: 0.3].
+        nscales: Number of scales [default: 5].
+        warps: Warps at each scale [default: 5].
+        epsilon: Stop iterating when the flow changes by less than this, in pixels [default: 0.01].
+        inner_iterations: Iterations between two median filters [default: 30].
+        outer_iterations: Median filters after each warp [default: 10].
+        scale_step: Size of a scale relative to the next finer one [default: 0.8].
+        gamma: Weight of an additional brightness change; 0 disables it [default: 0].
+        median_filtering: Side of the median filter, 3 or 5 pixels, or 1 for none [default: 5].
+        annotations: Annotation file outside its dataset's folder, such as samm:FILE or clips:FILE.
+        apex_list: CSV list of apex frames, for clips without a usable one [default: SMIC's smic_apex.csv or data_apex.csv in its folder].
+        classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
+        allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
+        only_key_frames: Accept clips that contain only the onset, apex and offset frames.
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("inputs", "annotations"):
+        settings[name] = _listed(settings[name])
+    settings["lambda"] = settings.pop("lambda_")
+    return _run("mer predict", settings)
+
+
 def mer_spot_score(
     predictions: Path | Sequence[Path],
     truth: str | Sequence[str],
@@ -1615,9 +1735,9 @@ def mer_spot_score(
 
 def mer_strain(
     onset: Path,
-    apex: Path,
     out: Path,
     *,
+    apex: Path | None = None,
     features: Path | None = None,
     viz: Path | None = None,
     viz_max: float | None = None,
@@ -1627,6 +1747,11 @@ def mer_strain(
     head_motion: str = "subtract",
     size: str = "112x112",
     force: bool = False,
+    face: str | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
+    face_box: str | None = None,
+    landmarks: Path | None = None,
     refine: bool = False,
     weights: str | None = None,
     iters: str | None = None,
@@ -1659,9 +1784,9 @@ def mer_strain(
     """Compute the optical strain between two frames.
 
     Args:
-        onset: Onset frame.
-        apex: Apex frame.
+        onset: Onset frame, or a file of the flow from onset to apex.
         out: Strain as .npy array of shape (H, W).
+        apex: Apex frame; none after a flow file.
         features: Also write u, v and strain, as .npy array of shape (3, 112, 112).
         viz: Draw the strain: black is zero, white the largest.
         viz_max: Strain drawn white [default: the largest].
@@ -1671,6 +1796,11 @@ def mer_strain(
         head_motion: The head's motion in the flow: keep or subtract.
         size: Size of the result.
         force: Overwrite existing files.
+        face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
+        face_index: Face to use if there are several; 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
+        landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
@@ -1764,8 +1894,8 @@ def mer_features(
         method: How to estimate the flow from onset to apex: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
         force: Overwrite an existing archive.
         cache: Folder that caches each clip's features, shared with `srflow mer run` [default: none].
-        annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
-        apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
+        annotations: Annotation file outside its dataset's folder, such as samm:FILE or clips:FILE.
+        apex_list: CSV list of apex frames, for clips without a usable one [default: SMIC's smic_apex.csv or data_apex.csv in its folder].
         classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
@@ -1823,11 +1953,14 @@ def mer_run(
     classifier: str | None = None,
     sets: str = "both",
     force: bool = False,
+    save_model: Path | None = None,
     cache: Path | None = None,
     epochs: int = 201,
     record_every: int = 20,
     batch: int = 64,
     learning_rate: float = 0.00065,
+    balance: str = "none",
+    augment: str = "none",
     seed: int = 0,
     shard: str = "1/1",
     annotations: str | Sequence[str] | None = None,
@@ -1886,15 +2019,18 @@ def mer_run(
         classifier: Classifier of the features [default: the protocol's, linear or off-tanet].
         sets: Train on each dataset, on all together, or both.
         force: Overwrite these files.
+        save_model: Also train a classifier on all clips, and save it in this folder for `srflow mer predict`.
         cache: Folder that caches features, for other runs too [default: features in --out].
         epochs: Epochs: passes over the training clips.
         record_every: Record the predictions every N epochs.
         batch: Batch size in clips.
         learning_rate: Initial learning rate of Adam; it is multiplied by 0.3 every 60 epochs.
+        balance: Classes with few clips: none (every clip counts alike), weights (a clip counts by the inverse frequency of its class) or sampling (networks draw each class equally often).
+        augment: Training clips: none (as they are), mirror (also mirrored) or mirror-rotate (also mirrored and rotated by some degrees).
         seed: Seed of the initial parameters, the order of clips and dropout.
         shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
-        annotations: Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE.
-        apex_list: CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder].
+        annotations: Annotation file outside its dataset's folder, such as samm:FILE or clips:FILE.
+        apex_list: CSV list of apex frames, for clips without a usable one [default: SMIC's smic_apex.csv or data_apex.csv in its folder].
         classes: Classes: a name (see below), or your own TOML file (docs/reference/micro-expression-files.md).
         allow_missing: Tolerate missing frames; clips without onset or apex are dropped.
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
@@ -1966,4 +2102,4 @@ def mer_tables(
     return _run("mer tables", settings)
 
 
-__all__ = ["ablation", "avatar_capture", "avatar_eval", "avatar_export", "avatar_fit", "avatar_import", "avatar_mesh", "avatar_train", "avatar_units", "check", "convert", "demo", "device", "device_network", "device_rasterizer", "eval", "figure", "flow", "mer_apex", "mer_data", "mer_features", "mer_run", "mer_spot", "mer_spot_score", "mer_strain", "mer_synth", "mer_synth_long", "mer_tables", "merge", "metrics", "models", "models_export", "models_inspect", "pack", "rasterize", "render", "shapes", "train", "view"]
+__all__ = ["ablation", "avatar_capture", "avatar_eval", "avatar_export", "avatar_fit", "avatar_import", "avatar_mesh", "avatar_train", "avatar_units", "check", "convert", "demo", "device", "device_network", "device_rasterizer", "eval", "figure", "flow", "mer_apex", "mer_data", "mer_features", "mer_predict", "mer_run", "mer_spot", "mer_spot_score", "mer_strain", "mer_synth", "mer_synth_long", "mer_tables", "merge", "metrics", "models", "models_export", "models_inspect", "pack", "rasterize", "render", "shapes", "train", "view"]

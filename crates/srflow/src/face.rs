@@ -179,10 +179,11 @@ impl FaceArgs {
                         };
                         frames.insert(number, row.face.clone());
                     }
-                    if frames.values().flatten().next().is_none() {
-                        return Err(table.no_landmarks(video.to_owned(), None).into());
-                    }
-                    return Ok(FaceTrack::Table(frames));
+                    return match (frames.values().flatten().next(), frames.len()) {
+                        (None, _) => Err(table.no_landmarks(video.to_owned(), None).into()),
+                        (Some(points), 1) => Ok(still(Some(points.clone()), FrameCrop::upright(points))),
+                        _ => Ok(FaceTrack::Table(frames)),
+                    };
                 }
                 let points = match names_videos {
                     true => table.of(video)?.clone(),

@@ -104,7 +104,8 @@ fn what_does_not_fit_is_refused() {
     let predict = |arguments: &[&str]| srflow(set, &[&["predict"], arguments, &["--out", "no"]].concat());
     refuses(&predict(&["nowhere", "clips:set"]), 1, &["nowhere", "save_model", "rendered", "found nothing"]);
     refuses(&predict(&["results", "clips:set"]), 1, &["model.json"]);
-    refuses(&predict(&["model", "nothing.mp4"]), 2, &["nothing.mp4", "no such file"]);
+    refuses(&predict(&["model", "nothing.mp4"]), 1, &["nothing.mp4", "No such file"]);
+    refuses(&predict(&["model", "nothing"]), 2, &["nothing", "no such file"]);
     refuses(&predict(&["model", "set/s01", "--least-probability", "2"]), 2, &["0 to 1, found 2"]);
     refuses(&predict(&["model"]), 2, &["VIDEO|FRAMES|KIND:DIR"]);
     let other = predict(&["model", "clips:set", "--model-method", "tvl1"]);

@@ -97,21 +97,23 @@ fn a_face_that_is_carried_through_the_picture_is_followed() {
     let landmarks = fs::read_to_string(set.join("set/landmarks.csv")).unwrap();
     let mut rows = landmarks.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let (header, row) = (rows.next().unwrap(), rows.next().unwrap());
-    assert_eq!(header[0], "video");
-    let mut followed = header.join(",") + ",frame\n";
+    assert_eq!(header[..2], ["video", "frame"]);
+    let mut followed = header.join(",") + "\n";
     for frame in 1..=540_usize {
         let name = format!("{frame:06}.png");
         let face = read_image(&set.join("set/s01").join(&name)).unwrap();
-        let left = (60.0 + 60.0 * (frame as f64 / 60.0).sin()).round() as usize;
+        let left = (60.0 + 60.0 * (frame as f64 / 180.0).sin()).round() as usize;
         let place = |x: usize| x.wrapping_sub(left).min(face.width() - 1);
         let wide = Image::from_fn(face.width() + 120, face.height(), |x, y| face.get(place(x), y));
         write_image_png(&set.join("carried").join(&name), &wide).unwrap();
-        let cell = |(column, value): (&&str, &&str)| match column.starts_with("x_") {
-            true => (value.parse::<f64>().unwrap() + left as f64).to_string(),
-            false => value.replace("s01", "carried"),
+        let cell = |(column, value): (&&str, &&str)| match *column {
+            "video" => "carried".to_owned(),
+            "frame" => frame.to_string(),
+            x if x.starts_with("x_") => (value.parse::<f64>().unwrap() + left as f64).to_string(),
+            _ => (*value).to_owned(),
         };
         let cells: Vec<String> = header.iter().zip(&row).map(cell).collect();
-        followed += &format!("{},{frame}\n", cells.join(","));
+        followed += &(cells.join(",") + "\n");
     }
     fs::write(set.join("carried.csv"), followed).unwrap();
     let spot = ["spot", "carried", "--fps", "30", "--out", "followed"];

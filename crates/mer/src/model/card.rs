@@ -73,4 +73,6 @@ pub struct TrainingRange {
     pub motion_px: [f64; 2],
     /// Width of the faces, in pixels.
     pub face_px: [usize; 2],
+    /// The part of a clip's motion that the model's patterns leave unexplained, at most.
+    pub unexplained: f64,
 }

@@ -2,22 +2,27 @@
 
 mod calibration;
 mod card;
+mod patterns;
 mod recognition;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use burn::tensor::TensorData;
 use srflow_files::{
     FileError, FileKind, FileProblem, create_folder, read_text, write_atomically, write_file,
 };
 use srflow_nn::{
-    ParametersError, StoredAs, WeightsError, parameters_of_safetensors, read_parameters, safetensors_bytes,
+    ParameterInfo, Parameters, ParametersError, StoredAs, WeightsError, compare, parameters_of_safetensors,
+    read_parameters, safetensors_bytes,
 };
 
 pub use calibration::{probabilities, temperature};
 pub use card::{HeldOut, ModelCard, ModelData, ModelFlow, TrainingRange};
 pub use recognition::{Doubt, Recognition};
 
+use self::patterns::{Patterns, limit};
+use crate::classifier::ClassifierEntry;
 use crate::features::{Channel, Features};
 use crate::learning::{Example, Learned, Lesson, Unfinished};
 use crate::predictions::{Prediction, Trial};
@@ -27,6 +32,9 @@ use crate::sample::Sample;
 /// Names of the files in a model's folder.
 const CARD_NAME: &str = "model.json";
 const WEIGHTS_NAME: &str = "classifier.safetensors";
+const PATTERNS_NAME: &str = "patterns.safetensors";
+/// Name of the tensor in the file of patterns.
+const PATTERNS: &str = "patterns";
 
 /// Faces and motion may differ from those of the training clips by these factors.
 const LESS_MOTION: f64 = 0.5;
@@ -41,6 +49,7 @@ pub struct RecognitionModel {
     pub card: ModelCard,
     /// Networks may be used by one thread at a time.
     learned: Mutex<Box<dyn Learned>>,
+    patterns: Patterns,
 }
 
 /// Why a model cannot be read or made.
@@ -86,6 +95,18 @@ impl ModelLesson<'_> {
         (temperature, counts)
     }
 
+    /// The part of a clip's motion up to which it is like these clips.
+    pub fn unexplained(&self) -> f64 {
+        let subject = |sample: &Sample| [sample.dataset.clone(), sample.subject.clone()];
+        let mut subjects: Vec<[String; 2]> = self.samples.iter().map(|sample| subject(sample)).collect();
+        subjects.sort();
+        subjects.dedup();
+        let number = |sample: &Sample| subjects.partition_point(|known| *known < subject(sample));
+        let clips: Vec<(usize, Vec<f32>)> =
+            self.samples.iter().map(|sample| (number(sample), pattern_input(&sample.features))).collect();
+        limit(&clips)
+    }
+
     /// The extremes of the motion in the clips.
     pub fn motion_px(&self) -> [f64; 2] {
         let motions = self.samples.iter().map(|sample| motion_px(&sample.features));
@@ -122,7 +143,9 @@ impl RecognitionModel {
             Unfinished::Diverged { epoch } => ModelError::Diverged { epoch },
             Unfinished::Stopped => unreachable!("it was never asked to stop"),
         })?;
-        Ok(Self { card, learned: Mutex::new(learned) })
+        let inputs: Vec<Vec<f32>> =
+            lesson.samples.iter().map(|sample| pattern_input(&sample.features)).collect();
+        Ok(Self { card, learned: Mutex::new(learned), patterns: Patterns::of(&inputs) })
     }
 
     /// The first file of a model's folder.
@@ -138,12 +161,12 @@ impl RecognitionModel {
         let path = Self::card_path(folder);
         let card = parsed(&read_text(&path, FileKind::Json)?).map_err(|problem| problem.in_file(&path))?;
         let path = folder.join(WEIGHTS_NAME);
-        Self::of(card, read_parameters(&path)?).map_err(|problem| ModelError::Parameters { path, problem })
-    }
-
-    fn of(card: ModelCard, parameters: srflow_nn::Parameters) -> Result<Self, ParametersError> {
-        let learned = (card.classifier.restore)(parameters, card.classes.len())?;
-        Ok(Self { card, learned: Mutex::new(learned) })
+        let learned = (card.classifier.restore)(read_parameters(&path)?, card.classes.len());
+        let learned = learned.map_err(|problem| ModelError::Parameters { path, problem })?;
+        let path = folder.join(PATTERNS_NAME);
+        let patterns = patterns_of(&read_parameters(&path)?);
+        let patterns = patterns.map_err(|problem| ModelError::Parameters { path, problem })?;
+        Ok(Self { card, learned: Mutex::new(learned), patterns })
     }
 
     fn learned(&self) -> MutexGuard<'_, Box<dyn Learned>> {
@@ -156,13 +179,12 @@ impl RecognitionModel {
     /// When a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<(), ModelError> {
         create_folder(folder)?;
-        let parameters = self.learned().parameters();
-        let tensors = parameters.iter().map(|(name, data)| {
-            let values = data.as_slice::<f32>().expect("parameters are f32");
-            (name.clone(), data.shape().as_slice(), values)
-        });
-        let bytes = safetensors_bytes(tensors, StoredAs::F32, None);
-        write_atomically(&folder.join(WEIGHTS_NAME), |writer| std::io::Write::write_all(writer, &bytes))?;
+        write_parameters(&folder.join(WEIGHTS_NAME), &self.learned().parameters())?;
+        let rows = &self.patterns.0;
+        let values: Vec<f32> = rows.iter().flatten().map(|value| *value as f32).collect();
+        let shape = [rows.len(), rows.first().map_or(0, Vec::len)];
+        let patterns = Parameters::from([(PATTERNS.to_owned(), TensorData::new(values, shape))]);
+        write_parameters(&folder.join(PATTERNS_NAME), &patterns)?;
         let card = serde_json::to_string_pretty(&self.card).expect("a card is plain data");
         Ok(write_file(&Self::card_path(folder), card + "\n")?)
     }
@@ -171,9 +193,16 @@ impl RecognitionModel {
     pub fn rendered() -> Self {
         const CARD: &str = include_str!("../../models/rendered/model.json");
         const WEIGHTS: &[u8] = include_bytes!("../../models/rendered/classifier.safetensors");
+        const PATTERNS: &[u8] = include_bytes!("../../models/rendered/patterns.safetensors");
         let card = parsed(CARD).unwrap_or_else(|problem| panic!("the card in the repository: {problem:?}"));
-        let parameters = parameters_of_safetensors(WEIGHTS).expect("the file in the repository is whole");
-        Self::of(card, parameters).expect("parameters of this classifier")
+        let [weights, patterns] = [WEIGHTS, PATTERNS]
+            .map(|file| parameters_of_safetensors(file).expect("the file in the repository is whole"));
+        let learned = (card.classifier.restore)(weights, card.classes.len());
+        Self {
+            learned: Mutex::new(learned.expect("parameters of this classifier")),
+            patterns: patterns_of(&patterns).expect("patterns of motion"),
+            card,
+        }
     }
 
     /// What the model says about a clip whose face is so many pixels wide.
@@ -182,7 +211,8 @@ impl RecognitionModel {
         let scores = self.learned().scores(&[&input]).remove(0);
         let class = Prediction::class_of(&scores);
         let probabilities = probabilities(&scores, self.card.temperature);
-        let TrainingRange { motion_px: [least, most], face_px: [smallest, _] } = self.card.range;
+        let TrainingRange { motion_px: [least, most], face_px: [smallest, _], unexplained } = self.card.range;
+        let unlike = self.patterns.unexplained(&pattern_input(features));
         let motion_px = motion_px(features);
         let doubt = if (face_px as f64) < SMALLER_FACE * smallest as f64 {
             Some(Doubt::Small { face_px, least_px: smallest })
@@ -190,11 +220,41 @@ impl RecognitionModel {
             Some(Doubt::Still { motion_px, least_px: least })
         } else if motion_px > MORE_MOTION * most {
             Some(Doubt::Far { motion_px, most_px: most })
+        } else if unlike > unexplained {
+            Some(Doubt::Unlike { unexplained: unlike, most: unexplained })
         } else {
             (probabilities[class] < least_probability).then_some(Doubt::Improbable)
         };
         Recognition { probabilities, class, doubt }
     }
+}
+
+/// A clip as patterns explain it: the flow at 14x14.
+fn pattern_input(features: &Features) -> Vec<f32> {
+    (ClassifierEntry::LINEAR.input)(features)
+}
+
+fn patterns_of(parameters: &Parameters) -> Result<Patterns, ParametersError> {
+    let length = pattern_input(&Features::still()).len();
+    let info = |shape: &[usize]| ParameterInfo { name: PATTERNS.to_owned(), shape: shape.to_vec() };
+    let found: Vec<ParameterInfo> = parameters
+        .iter()
+        .map(|(name, data)| ParameterInfo { name: name.clone(), shape: data.shape().to_vec() })
+        .collect();
+    let rows = found.first().and_then(|info| info.shape.first()).copied().unwrap_or(0);
+    compare(&[info(&[rows, length])], &found)?;
+    let values = parameters[PATTERNS].as_slice::<f32>().expect("parameters are f32");
+    let row = |row: &[f32]| row.iter().copied().map(f64::from).collect();
+    Ok(Patterns(values.chunks_exact(length).map(row).collect()))
+}
+
+fn write_parameters(path: &Path, parameters: &Parameters) -> Result<(), FileError> {
+    let tensors = parameters.iter().map(|(name, data)| {
+        let values = data.as_slice::<f32>().expect("parameters are f32");
+        (name.clone(), data.shape().as_slice(), values)
+    });
+    let bytes = safetensors_bytes(tensors, StoredAs::F32, None);
+    write_atomically(path, |writer| std::io::Write::write_all(writer, &bytes))
 }
 
 /// The card of a model.

@@ -74,6 +74,6 @@ fn a_rotated_clip_has_the_features_of_its_rotated_flow() {
         let pairs = || found.channel(channel).iter().zip(expected.channel(channel));
         let difference = pairs().map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         let largest = pairs().map(|(_, b)| b.abs()).fold(0.0, f32::max);
-        assert!(difference < 0.02 * largest, "{channel:?}: {difference} of {largest}");
+        assert!(difference < 0.05 * largest, "{channel:?}: {difference} of {largest}");
     }
 }

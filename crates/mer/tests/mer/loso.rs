@@ -138,12 +138,14 @@ fn recall(loso: &Loso, class: usize) -> f64 {
 fn balanced_training_finds_more_of_a_rare_class() {
     // Two classes that noise nearly hides, eleven clips of one for each of the other.
     let mut samples = Vec::new();
-    for (subject, clip) in (0..4).flat_map(|subject| (0..12).map(move |clip| (subject, clip))) {
+    for (subject, clip) in (0..6).flat_map(|subject| (0..12).map(move |clip| (subject, clip))) {
         let class = if clip == 0 { SURPRISE } else { NEGATIVE };
         let mut noisy = sample("a", subject, clip, class);
         let mut noise = Key::new(4).scene(subject).frame(clip).stream("whole clip");
-        let shift = 0.35 * noise.normal();
-        let shifted = noisy.features.values().iter().map(|value| value + shift);
+        let shifts = [0, 1].map(|_| 0.7 * noise.normal());
+        let half = |place: usize| place % FEATURE_SIDE * 2 / FEATURE_SIDE;
+        let values = noisy.features.values().iter().enumerate();
+        let shifted = values.map(|(place, value)| value + shifts[half(place)]);
         noisy.features = Features::from_values(shifted.collect()).unwrap();
         samples.push(noisy);
     }

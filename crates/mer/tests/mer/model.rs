@@ -47,7 +47,7 @@ fn card(classifier: ClassifierEntry) -> ModelCard {
         data: Vec::new(),
         held_out: HeldOut { clips: 0, right: 0, sure: 0, sure_and_right: 0 },
         temperature: 1.5,
-        range: TrainingRange { motion_px: [0.9, 1.1], face_px: [100, 200] },
+        range: TrainingRange { motion_px: [0.9, 1.1], face_px: [100, 200], unexplained: 0.8 },
     }
 }
 
@@ -91,6 +91,14 @@ fn a_model_knows_what_it_has_seen_and_says_why_it_does_not_know() {
     assert_eq!(doubt(1.0, 150, 1.0), Some(Doubt::Improbable));
     assert!(matches!(doubt(3.0, 150, 0.0), Some(Doubt::Far { most_px: 1.1, .. })));
     assert!(matches!(doubt(0.1, 150, 0.0), Some(Doubt::Still { least_px: 0.9, .. })));
+    let mut sideways = features(0.0, 7).values().to_vec();
+    let third = Features::LEN / 3;
+    sideways[third..2 * third]
+        .iter_mut()
+        .enumerate()
+        .for_each(|(place, v)| *v = ((place / 16) % 2) as f32 * 2.8 - 1.4);
+    let unlike = model.recognize(&Features::from_values(sideways).unwrap(), 150, 0.0).doubt;
+    assert!(matches!(unlike, Some(Doubt::Unlike { most: 0.8, .. })), "{unlike:?}");
     assert_eq!(doubt(1.0, 60, 0.0), Some(Doubt::Small { face_px: 60, least_px: 100 }));
 }
 
@@ -160,8 +168,6 @@ fn the_model_that_comes_with_srflow_is_whole() {
     assert_eq!(model.card.classes, ["negative", "positive", "surprise"]);
     assert!(model.card.note.contains("rendered"), "{}", model.card.note);
     let HeldOut { clips, right, sure, sure_and_right } = model.card.held_out;
-    assert!(
-        clips >= 500 && 3 * right > 2 * clips && sure_and_right * clips > right * sure,
-        "surer, and more often right"
-    );
+    assert!(clips >= 500 && 10 * right > 9 * clips, "{right} of {clips}");
+    assert!(sure_and_right * clips >= right * sure, "those that it is sure of are right as often");
 }

@@ -46,6 +46,7 @@ pub fn train_model(results: &RunResults, method: String, date: &str) -> anyhow::
         temperature,
         range: TrainingRange {
             motion_px: lesson.motion_px(),
+            unexplained: lesson.unexplained(),
             face_px: [widths.iter().min(), widths.iter().max()].map(|width| width.copied().unwrap_or(0)),
         },
     };

@@ -40,9 +40,20 @@ impl Video {
         let path = std::path::absolute(path)?;
         let name = if path.is_dir() { path.file_name() } else { path.file_stem() };
         let name = name.unwrap_or_default().to_string_lossy().into_owned();
+        let mut failed = None;
         let fps = match (fps, source.measured_rate()) {
             (Some(fps), _) | (None, Some(fps)) if (10.0..=2000.0).contains(&fps) => fps,
-            (None, None) => wrong_settings!("{}: give its frames per second with `fps`", path.display()),
+            (None, None) => {
+                // A video that cannot be read has no rate either.
+                source.read(0, 1, |frame| {
+                    failed = frame.err();
+                    false
+                });
+                if let Some(error) = failed {
+                    return Err(error);
+                }
+                wrong_settings!("{}: give its frames per second with `fps`", path.display())
+            }
             (fps, found) => wrong_settings!(
                 "{}: `fps` must be 10 to 2000, found {}",
                 path.display(),

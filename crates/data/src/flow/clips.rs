@@ -23,8 +23,9 @@ fn pairs(request: &Request, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>
     if split != Split::All {
         return Err(request.no_split("all"));
     }
-    let source = ClipSource::plain(dir);
-    let found = ClipDataset::open(&source, false).map_err(Box::new)?;
+    // A pair needs no other frames than onset and apex.
+    let found = ClipDataset::open(&ClipSource::plain(dir), true).map_err(Box::new)?;
+    found.missing.iter().filter(|clip| clip.dropped).for_each(|clip| gaps.push(clip.to_string()));
     Ok(found.clips.iter().filter_map(|clip| pair(clip, gaps)).collect())
 }
 

@@ -30,6 +30,13 @@ fn a_pair_is_onset_and_apex() {
 }
 
 #[test]
+fn key_frames_are_enough() {
+    let dir = clips("s01/c01,s01,3,5,5,positive\ns01/c02,s01,3,5,5,negative\n");
+    dir.remove("s01/c01/0004.png");
+    assert_eq!(dir.open("clips", None).entries().len(), 2);
+}
+
+#[test]
 fn the_parts_of_the_flow_are_beside_it() {
     let dir = clips("s01/c01,s01,3,5,5,positive\ns01/c02,s01,3,4,5,negative\n");
     dir.add(["s01/c01_head_flow.flo", "s01/c01_expression_flow.npy"]);
@@ -47,5 +54,5 @@ fn clips_without_apex_or_flow_are_named() {
     dir.remove("s01/c02_flow.npz16");
     dir.refuses("clips", None, &["s01/c01 has no apex", "s01/c02 has no flow s01/c02_flow.*"]);
     dir.remove("s01/c02/0004.png");
-    dir.refuses("clips", None, &["1 frames of 1 clips are missing"]);
+    dir.refuses("clips", None, &["s01/s01/c02: 1 frame: 4"]);
 }

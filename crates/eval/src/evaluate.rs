@@ -156,8 +156,8 @@ pub enum EvaluateError {
     },
     /// The flow of the expression is to be scored, and pairs do not have it.
     #[error(
-        "{dataset}: {lacking} of {pairs} pairs have no true flow of the expression, which `expression_error` needs; `srflow render` with \
-         `decompose` and `srflow mer synth` make datasets with it"
+        "{dataset}: {lacking} of {pairs} pairs have no true flow of the expression, which `expression_error` needs; `srflow render \
+         --decompose` and `srflow mer synth` make datasets with it"
     )]
     NoExpressionFlow {
         /// The dataset and its split.

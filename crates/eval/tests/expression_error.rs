@@ -127,7 +127,7 @@ fn only_sets_with_the_parts_are_scored_and_only_when_asked() {
     let error = run(&open(folder.path()), asked()).unwrap_err();
     assert!(matches!(error, EvaluateError::NoExpressionFlow { lacking: 1, pairs: 2, .. }), "{error}");
     let said = error.to_string();
-    assert!(said.contains("1 of 2 pairs") && said.contains("`srflow render` with `decompose`"), "{said}");
+    assert!(said.contains("1 of 2 pairs") && said.contains("`srflow render --decompose`"), "{said}");
 
     write_flow(&folder.path().join("b_expression_flow.flo"), &FlowField::new(3, 3)).unwrap();
     let error = run(&open(folder.path()), asked()).unwrap_err().to_string();

@@ -25,9 +25,7 @@ fn rendered() -> &'static Path {
         let _ = fs::remove_dir_all(&out); // of an earlier test run
         let mut command = crate::srflow();
         command.args(["render", "--scenes", "2", "--frames", "4", "--size", "110x160", "--seed", "4"]);
-        command
-            .args(["--splits", "0.5,0,0.5", "--backward", "--depth", "--regions", "--decompose", "--out"])
-            .arg(&out);
+        command.args(["--splits", "0.5,0,0.5", "--backward", "--depth", "--regions", "--out"]).arg(&out);
         succeeds(&command.output().unwrap());
         out
     })
@@ -122,10 +120,18 @@ fn region_maps_are_read_too() {
 }
 
 #[test]
-fn the_flow_of_the_expression_is_read_too() {
+fn the_parts_of_the_flow_are_packed_and_read() {
     let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("packed");
-    succeeds(&pack(rendered(), &out, &["--flow", "npz16"]));
+    let [set, out] = ["set", "packed"].map(|name| folder.path().join(name));
+    let mut command = crate::srflow();
+    command.args(["render", "--scenes", "1", "--frames", "2", "--size", "110x160", "--splits", "0,0,1"]);
+    succeeds(&command.args(["--decompose", "--out"]).arg(&set).output().unwrap());
+    succeeds(&pack(&set, &out, &["--flow", "npz16"]));
+    let index = fs::read_to_string(out.join("index.jsonl")).unwrap();
+    let first: Value = serde_json::from_str(index.lines().next().unwrap()).unwrap();
+    assert!(
+        ["head_flow.npz16", "expression_flow.npz16"].iter().all(|name| first["members"][name].is_object())
+    );
     let errors = |dataset: String| {
         let mut command = crate::srflow();
         command.args([
@@ -141,7 +147,7 @@ fn the_flow_of_the_expression_is_read_too() {
         let methods = report["methods"].as_array().unwrap().iter();
         methods.map(|method| method["expression_error"].clone()).collect::<Vec<Value>>()
     };
-    let own = errors(format!("srflow:{}", rendered().display()));
+    let own = errors(format!("srflow:{}", set.display()));
     assert!(own[1]["ratio"].as_f64().is_some_and(|ratio| ratio > 0.0), "{own:?}");
     assert_eq!(errors(format!("wds:{}", out.display())), own);
 }
@@ -200,12 +206,10 @@ fn every_file_is_hashed_and_every_pair_is_in_the_index() {
         [
             "alpha.png",
             "depth.png",
-            "expression_flow.npy",
             "flow.npy",
             "flow_backward.npy",
             "frame1.png",
             "frame2.png",
-            "head_flow.npy",
             "mask.png",
             "meta.json",
             "occlusion.png",

@@ -26,6 +26,35 @@ class Results(TypedDict):
     classes: list[str]
     predictions: NDArray[np.int64]
 
+class Spotted(TypedDict):
+    events: list[dict[str, Any]]
+    regions: list[str]
+    curves: dict[str, NDArray[Any]]
+
+Recognition = TypedDict(
+    "Recognition",
+    {"probabilities": dict[str, float], "class": str | None, "most_probable": str, "doubt": str | None},
+)
+
+def spot(
+    video: str | os.PathLike[str], *, out: str | os.PathLike[str] | None = None, **options: Any
+) -> Spotted: ...
+def predict(
+    model: str | os.PathLike[str],
+    inputs: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+    *,
+    out: str | os.PathLike[str] | None = None,
+    **options: Any,
+) -> list[dict[str, Any]]: ...
+
+class Model:
+    @property
+    def classes(self) -> list[str]: ...
+    def card(self) -> dict[str, Any]: ...
+    def __call__(
+        self, features: ArrayLike, /, *, face_px: int | None = None, least_probability: float = 0.5
+    ) -> Recognition: ...
+
 def features(
     onset: ArrayLike,
     apex: ArrayLike,
@@ -53,3 +82,4 @@ def loso(
     learning_rate: float | None = None,
     seed: int | None = None,
 ) -> Results: ...
+def load_model(model: str | os.PathLike[str] | None = None) -> Model: ...

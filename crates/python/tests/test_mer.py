@@ -192,3 +192,28 @@ def test_the_archive_of_the_command_is_taken(tmp_path, command):
     result = srflow.mer.loso(features, lambda x, y, test: [y[np.abs(x - clip).sum(axis=(1, 2, 3)).argmin()] for clip in test])
     assert result["classes"] == ["negative", "positive", "surprise"]
     assert np.array_equal(result["predictions"], features["y"]), "both subjects move alike"
+
+
+def test_expressions_of_frames_are_spotted_with_their_curves(tmp_path):
+    still = np.random.default_rng(1).integers(0, 255, (64, 64, 3), np.uint8)
+    for number in range(1, 13):
+        (tmp_path / f"{number:03}.ppm").write_bytes(b"P6 64 64 255\n" + still.tobytes())
+    found = srflow.mer.spot(tmp_path, fps=30)
+    assert found["events"] == []
+    curves = found["curves"]
+    assert curves["regions"].shape == (12, len(found["regions"]), 2) and len(found["regions"]) == 16
+    assert curves["frame"].tolist() == list(range(1, 13)) and curves["usable"].all()
+    assert np.abs(curves["regions"]).max() < 0.05, "nothing moves"
+
+
+def test_a_model_says_what_it_knows():
+    model = srflow.mer.load_model()
+    assert model.classes == ["negative", "positive", "surprise"]
+    assert model.card()["flow"]["method"] == "srflow"
+    still = model(np.zeros((3, 112, 112), np.float32))
+    assert still["class"] is None and "moves less" in still["doubt"]
+    assert sum(still["probabilities"].values()) == pytest.approx(1)
+    with pytest.raises(ValueError, match="3 x 112 x 112"):
+        model(np.zeros((112, 112), np.float32))
+    with pytest.raises(ValueError, match="nowhere: expected the folder of a model"):
+        srflow.mer.load_model("nowhere")

@@ -85,4 +85,5 @@ def test_everything_public_is_exported():
     built = {name for name in dir(_srflow) if not name.startswith("_")} - {"run", "run_job"}
     assert set(srflow.__all__) == built | {"Report", "jobs", "render", "train"}
     assert all(callable(getattr(srflow.jobs, name)) for name in srflow.jobs.__all__)
-    assert set(srflow.mer.__all__) == {name for name in dir(_srflow.mer) if not name.startswith("_")}
+    built = {name for name in dir(_srflow.mer) if not name.startswith("_")}
+    assert set(srflow.mer.__all__) == built | {"predict", "spot"}

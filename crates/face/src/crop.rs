@@ -141,6 +141,15 @@ impl FrameCrop {
         }
     }
 
+    /// Width and height of the picture that it cuts out of a frame of this size.
+    pub fn size_in(&self, frame: (usize, usize)) -> (usize, usize) {
+        match *self {
+            Self::Whole => frame,
+            Self::Fixed(FaceBox { width, height, .. }) => (width, height),
+            Self::Upright { side, .. } => (side, side),
+        }
+    }
+
     /// Position of a point of the frame in the cropped picture.
     pub fn point(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         match *self {

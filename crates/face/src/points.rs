@@ -33,8 +33,7 @@ impl FacePoints {
     /// # Errors
     /// When the face is outside of the frame.
     pub fn upright_box(&self, (width, height): (usize, usize)) -> Result<FaceBox, FaceError> {
-        let [left, right] = self.eyes;
-        let middle = [0, 1].map(|axis| (left[axis] + right[axis]) / 2.0);
+        let middle = self.middle();
         let side = upright_side(self);
         let range = |start: f64, size: usize| {
             let [from, to] = [start, start + side].map(|at| at.round().clamp(0.0, size as f64) as usize);
@@ -50,9 +49,13 @@ impl FacePoints {
 
     /// Pixels from the middle between the eyes to that of another face.
     pub fn distance_to(&self, other: &Self) -> f64 {
-        let middle =
-            |Self { eyes: [left, right], .. }: &Self| [0, 1].map(|axis| (left[axis] + right[axis]) / 2.0);
-        distance([middle(self), middle(other)])
+        distance([self.middle(), other.middle()])
+    }
+
+    /// Midway between the eyes.
+    fn middle(&self) -> [f64; 2] {
+        let [left, right] = self.eyes;
+        [0, 1].map(|axis| (left[axis] + right[axis]) / 2.0)
     }
 
     /// From the points of MediaPipe's mesh nearest to dlib's. The eyes are midway between their corners, which blinks do not move.

@@ -74,11 +74,6 @@ impl Features {
         Ok(Self(values.into()))
     }
 
-    /// Those of a face that does not move.
-    pub(crate) fn still() -> Self {
-        Self(vec![0.0; Self::LEN].into())
-    }
-
     /// All values, `[3, 112, 112]`, row-major.
     pub fn values(&self) -> &[f32] {
         &self.0

@@ -17,6 +17,7 @@ pub use initializer::Initializer;
 pub use layers::with_batch_statistics;
 pub use optimizer::{AdamW, AdamWState, ModuleAdamW, Rounding, clip_norm, norm};
 pub use parameters::{
-    ParameterInfo, Parameters, ParametersError, compare, parameter_infos, parameters, with_parameters,
+    ParameterInfo, Parameters, ParametersError, compare, infos_of, parameter_infos, parameters,
+    with_parameters,
 };
-pub use weights::{WeightsError, load, load_from, read_parameters, save_parameters};
+pub use weights::{WeightsError, load, load_from, read_parameters, save_parameters, write_parameters};

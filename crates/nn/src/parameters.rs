@@ -60,12 +60,17 @@ pub fn parameters(network: &impl Module) -> Parameters {
 /// # Errors
 /// When names or shapes are not exactly those of the network.
 pub fn with_parameters<M: Module>(network: M, parameters: Parameters) -> Result<M, ParametersError> {
-    let given: Vec<ParameterInfo> = parameters
-        .iter()
-        .map(|(name, data)| ParameterInfo { name: name.clone(), shape: data.shape().to_vec() })
-        .collect();
-    compare(&parameter_infos(&network), &given)?;
+    compare(&parameter_infos(&network), &infos_of(&parameters))?;
     Ok(network.map(&mut Filler { path: Path::default(), parameters }))
+}
+
+/// Names and shapes of parameters.
+pub fn infos_of(parameters: &Parameters) -> Vec<ParameterInfo> {
+    let info = |(name, data): (&String, &TensorData)| ParameterInfo {
+        name: name.clone(),
+        shape: data.shape().to_vec(),
+    };
+    parameters.iter().map(info).collect()
 }
 
 /// Checks that `given` has exactly the names and shapes of `expected`, in any order.

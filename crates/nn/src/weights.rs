@@ -109,7 +109,19 @@ pub fn save_parameters(
     about: Option<&About>,
     path: &Path,
 ) -> Result<(), FileError> {
-    let parameters = parameters(network);
+    write_parameters(&parameters(network), stored_as, about, path)
+}
+
+/// Writes parameters, which must be `f32`, to a safetensors file. The write is atomic.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_parameters(
+    parameters: &Parameters,
+    stored_as: StoredAs,
+    about: Option<&About>,
+    path: &Path,
+) -> Result<(), FileError> {
     let tensors = parameters.iter().map(|(name, data)| {
         let values = data.as_slice::<f32>().expect("parameters are f32");
         (name.clone(), data.shape().as_slice(), values)

@@ -10,14 +10,13 @@ use super::forms;
 use super::release::below_release;
 
 pub(super) const KIND: ClipKind = ClipKind {
-    name: "casme",
     releases: &["raw", "cropped"],
-    about: "CASME, the raw or the cropped release (default: the one that is found)",
-    published: None,
-    megc2019: None,
-    takes_apex_list: true,
-    labels: |source| coded::read(&CODING, source),
-    folders: |source, annotations| below_release(source, &PLACES, "reg_", annotations, folder),
+    ..ClipKind::new(
+        "casme",
+        "CASME, the raw or the cropped release (default: the one that is found)",
+        |source| coded::read(&CODING, source),
+        |source, annotations| below_release(source, &PLACES, "reg_", annotations, folder),
+    )
 };
 
 const CODING: Coding = Coding {

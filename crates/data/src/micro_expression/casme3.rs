@@ -10,16 +10,12 @@ use super::forms;
 use super::frames::{ClipFolders, below};
 use super::{Annotation, ClipKind, ClipSource, MicroExpressionError};
 
-pub(super) const KIND: ClipKind = ClipKind {
-    name: "casme3",
-    releases: &[],
-    about: "CAS(ME)³, micro-expressions of part A",
-    published: None,
-    megc2019: None,
-    takes_apex_list: true,
-    labels: |source| coded::read(&CODING, source),
+pub(super) const KIND: ClipKind = ClipKind::new(
+    "casme3",
+    "CAS(ME)³, micro-expressions of part A",
+    |source| coded::read(&CODING, source),
     folders,
-};
+);
 
 const CODING: Coding = Coding {
     form: &forms::CASME3_MICRO,

@@ -17,14 +17,13 @@ use super::{Annotation, ClipKind, ClipSource, DropReason, Dropped, Labels, Micro
 use crate::listing;
 
 pub(super) const KIND: ClipKind = ClipKind {
-    name: "casme-squared",
     releases: &["raw", "cropped"],
-    about: "CAS(ME)², micro-expressions in whole or cropped videos (default: those that are found)",
-    published: None,
-    megc2019: None,
-    takes_apex_list: true,
-    labels: read,
-    folders,
+    ..ClipKind::new(
+        "casme-squared",
+        "CAS(ME)², micro-expressions in whole or cropped videos (default: those that are found)",
+        read,
+        folders,
+    )
 };
 
 fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {

@@ -11,16 +11,8 @@ use super::frames::{ClipFolders, below};
 use super::{Annotation, ClipKind, ClipSource, MicroExpressionError};
 use crate::listing;
 
-pub(super) const KIND: ClipKind = ClipKind {
-    name: "dfme",
-    releases: &[],
-    about: "DFME",
-    published: None,
-    megc2019: None,
-    takes_apex_list: true,
-    labels: |source| coded::read(&CODING, source),
-    folders,
-};
+pub(super) const KIND: ClipKind =
+    ClipKind::new("dfme", "DFME", |source| coded::read(&CODING, source), folders);
 
 const CODING: Coding = Coding {
     form: &forms::DFME,

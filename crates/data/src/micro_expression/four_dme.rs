@@ -10,16 +10,12 @@ use super::forms;
 use super::frames::{ClipFolders, below};
 use super::{Annotation, ClipKind, ClipSource, MicroExpressionError};
 
-pub(super) const KIND: ClipKind = ClipKind {
-    name: "4dme",
-    releases: &[],
-    about: "4DME, micro-expressions in grey videos",
-    published: None,
-    megc2019: None,
-    takes_apex_list: true,
-    labels: |source| coded::read(&CODING, source),
+pub(super) const KIND: ClipKind = ClipKind::new(
+    "4dme",
+    "4DME, micro-expressions in grey videos",
+    |source| coded::read(&CODING, source),
     folders,
-};
+);
 
 const CODING: Coding = Coding {
     form: &forms::FOUR_DME,

@@ -10,16 +10,8 @@ use super::forms;
 use super::frames::{ClipFolders, below};
 use super::{Annotation, ClipKind, ClipSource, MicroExpressionError};
 
-pub(super) const KIND: ClipKind = ClipKind {
-    name: "mmew",
-    releases: &[],
-    about: "MMEW, micro-expressions",
-    published: None,
-    megc2019: None,
-    takes_apex_list: true,
-    labels: |source| coded::read(&CODING, source),
-    folders,
-};
+pub(super) const KIND: ClipKind =
+    ClipKind::new("mmew", "MMEW, micro-expressions", |source| coded::read(&CODING, source), folders);
 
 const CODING: Coding = Coding {
     form: &forms::MMEW,

@@ -31,23 +31,19 @@ pub(super) const KIND: ClipKind = ClipKind {
     folders: |source, annotations| folders(&HS, source, annotations),
 };
 
-pub(super) const VIS_KIND: ClipKind = ClipKind {
-    name: "smic-vis",
-    about: "SMIC-VIS, extended or short",
-    published: None,
-    megc2019: None,
-    labels: |source| read(&VIS, source),
-    folders: |source, annotations| folders(&VIS, source, annotations),
-    ..KIND
-};
+pub(super) const VIS_KIND: ClipKind = ClipKind::new(
+    "smic-vis",
+    "SMIC-VIS, extended or short",
+    |source| read(&VIS, source),
+    |source, annotations| folders(&VIS, source, annotations),
+);
 
-pub(super) const NIR_KIND: ClipKind = ClipKind {
-    name: "smic-nir",
-    about: "SMIC-NIR, extended or short",
-    labels: |source| read(&NIR, source),
-    folders: |source, annotations| folders(&NIR, source, annotations),
-    ..VIS_KIND
-};
+pub(super) const NIR_KIND: ClipKind = ClipKind::new(
+    "smic-nir",
+    "SMIC-NIR, extended or short",
+    |source| read(&NIR, source),
+    |source, annotations| folders(&NIR, source, annotations),
+);
 
 /// What the recordings of a camera are called.
 struct Camera {

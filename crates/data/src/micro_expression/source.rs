@@ -24,6 +24,27 @@ pub struct ClipKind {
     pub(super) folders: fn(&ClipSource, &[Annotation]) -> Result<ClipFolders, MicroExpressionError>,
 }
 
+impl ClipKind {
+    /// A kind with one release, which is on none of the published lists.
+    pub(super) const fn new(
+        name: &'static str,
+        about: &'static str,
+        labels: fn(&ClipSource) -> Result<Labels, MicroExpressionError>,
+        folders: fn(&ClipSource, &[Annotation]) -> Result<ClipFolders, MicroExpressionError>,
+    ) -> Self {
+        Self {
+            name,
+            releases: &[],
+            about,
+            published: None,
+            megc2019: None,
+            takes_apex_list: true,
+            labels,
+            folders,
+        }
+    }
+}
+
 impl fmt::Display for ClipKind {
     /// `casme2[-raw|-cropped]`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

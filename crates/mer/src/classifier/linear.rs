@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use burn::tensor::TensorData;
 use rayon::prelude::*;
 use srflow_core::dense::dot;
-use srflow_nn::{ParameterInfo, Parameters, ParametersError, compare};
+use srflow_nn::{ParameterInfo, Parameters, ParametersError, compare, infos_of};
 
 use super::{ClassifierFacts, reduced};
 use crate::features::{FEATURE_SIDE, Features};
@@ -300,10 +300,9 @@ impl Learned for LogisticRegression {
 /// The classifier of so many classes with these parameters.
 pub(super) fn restore(parameters: Parameters, classes: usize) -> Result<Box<dyn Learned>, ParametersError> {
     let info = |name: &str, shape: &[usize]| ParameterInfo { name: name.to_owned(), shape: shape.to_vec() };
-    let found: Vec<ParameterInfo> =
-        parameters.iter().map(|(name, data)| info(name, data.shape().as_slice())).collect();
     let inputs = input_len();
-    compare(&[info("weight", &[classes, inputs]), info("bias", &[classes])], &found)?;
+    let expected = [info("weight", &[classes, inputs]), info("bias", &[classes])];
+    compare(&expected, &infos_of(&parameters))?;
     let values = |name: &str| parameters[name].as_slice::<f32>().expect("parameters are f32");
     let rows = values("weight").chunks_exact(inputs).zip(values("bias"));
     let weights = rows.flat_map(|(row, bias)| row.iter().chain([bias]).map(|value| f64::from(*value)));
@@ -311,7 +310,7 @@ pub(super) fn restore(parameters: Parameters, classes: usize) -> Result<Box<dyn 
 }
 
 /// Length of [`input`].
-fn input_len() -> usize {
+pub(crate) fn input_len() -> usize {
     2 * (FEATURE_SIDE / FACTOR).pow(2)
 }
 

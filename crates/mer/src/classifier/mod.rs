@@ -11,6 +11,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use srflow_core::random::{Key, Stream};
 use srflow_nn::{ParameterInfo, Parameters, parameter_infos, with_parameters};
 
+pub(crate) use linear::input_len as linear_input_len;
 pub use linear::{INVERSE_STRENGTHS, LogisticRegression, Observation, validation_losses};
 pub use offapexnet::OffApexNet;
 pub use offtanet::OffTaNet;

@@ -9,12 +9,10 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use burn::tensor::TensorData;
-use srflow_files::{
-    FileError, FileKind, FileProblem, create_folder, read_text, write_atomically, write_file,
-};
+use srflow_files::{FileError, FileKind, FileProblem, create_folder, read_text, write_file};
 use srflow_nn::{
-    ParameterInfo, Parameters, ParametersError, StoredAs, WeightsError, compare, parameters_of_safetensors,
-    read_parameters, safetensors_bytes,
+    ParameterInfo, Parameters, ParametersError, StoredAs, WeightsError, compare, infos_of,
+    parameters_of_safetensors, read_parameters, write_parameters,
 };
 
 pub use calibration::{probabilities, temperature};
@@ -22,7 +20,7 @@ pub use card::{HeldOut, ModelCard, ModelData, ModelFlow, TrainingRange};
 pub use recognition::{Doubt, Recognition};
 
 use self::patterns::{Patterns, limit};
-use crate::classifier::ClassifierEntry;
+use crate::classifier::{ClassifierEntry, linear_input_len};
 use crate::features::{Channel, Features};
 use crate::learning::{Example, Learned, Lesson, Unfinished};
 use crate::predictions::{Prediction, Trial};
@@ -179,12 +177,15 @@ impl RecognitionModel {
     /// When a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<(), ModelError> {
         create_folder(folder)?;
-        write_parameters(&folder.join(WEIGHTS_NAME), &self.learned().parameters())?;
+        let write = |parameters: &Parameters, name: &str| {
+            write_parameters(parameters, StoredAs::F32, None, &folder.join(name))
+        };
+        write(&self.learned().parameters(), WEIGHTS_NAME)?;
         let rows = &self.patterns.0;
         let values: Vec<f32> = rows.iter().flatten().map(|value| *value as f32).collect();
         let shape = [rows.len(), rows.first().map_or(0, Vec::len)];
         let patterns = Parameters::from([(PATTERNS.to_owned(), TensorData::new(values, shape))]);
-        write_parameters(&folder.join(PATTERNS_NAME), &patterns)?;
+        write(&patterns, PATTERNS_NAME)?;
         let card = serde_json::to_string_pretty(&self.card).expect("a card is plain data");
         Ok(write_file(&Self::card_path(folder), card + "\n")?)
     }
@@ -235,26 +236,14 @@ fn pattern_input(features: &Features) -> Vec<f32> {
 }
 
 fn patterns_of(parameters: &Parameters) -> Result<Patterns, ParametersError> {
-    let length = pattern_input(&Features::still()).len();
+    let length = linear_input_len();
     let info = |shape: &[usize]| ParameterInfo { name: PATTERNS.to_owned(), shape: shape.to_vec() };
-    let found: Vec<ParameterInfo> = parameters
-        .iter()
-        .map(|(name, data)| ParameterInfo { name: name.clone(), shape: data.shape().to_vec() })
-        .collect();
+    let found = infos_of(parameters);
     let rows = found.first().and_then(|info| info.shape.first()).copied().unwrap_or(0);
     compare(&[info(&[rows, length])], &found)?;
     let values = parameters[PATTERNS].as_slice::<f32>().expect("parameters are f32");
     let row = |row: &[f32]| row.iter().copied().map(f64::from).collect();
     Ok(Patterns(values.chunks_exact(length).map(row).collect()))
-}
-
-fn write_parameters(path: &Path, parameters: &Parameters) -> Result<(), FileError> {
-    let tensors = parameters.iter().map(|(name, data)| {
-        let values = data.as_slice::<f32>().expect("parameters are f32");
-        (name.clone(), data.shape().as_slice(), values)
-    });
-    let bytes = safetensors_bytes(tensors, StoredAs::F32, None);
-    write_atomically(path, |writer| std::io::Write::write_all(writer, &bytes))
 }
 
 /// The card of a model.

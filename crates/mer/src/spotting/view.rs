@@ -54,10 +54,7 @@ impl FaceView {
     /// The same face elsewhere, cut out to the same size.
     fn elsewhere(&self, points: &FacePoints) -> Self {
         let crop = FrameCrop::upright(points);
-        let cropped = match &crop {
-            FrameCrop::Upright { side, .. } => (*side, *side),
-            _ => self.size,
-        };
+        let cropped = crop.size_in(self.size);
         Self::of_size(Some(points), crop, cropped, self.size)
     }
 

@@ -2,7 +2,6 @@
 
 use srflow_data::micro_expression::Clip;
 use srflow_eval::MethodRecord;
-use srflow_face::FrameCrop;
 use srflow_files::read_image_size;
 use srflow_mer::{
     DataRecord, ModelCard, ModelData, ModelFlow, ModelLesson, RecognitionModel, RunResults, Sample,
@@ -55,12 +54,7 @@ pub fn train_model(results: &RunResults, method: String, date: &str) -> anyhow::
 
 /// Width of the face that is cut out of a clip, in pixels.
 fn face_width(results: &RunResults, clip: &Clip) -> anyhow::Result<usize> {
-    Ok(match results.settings.preparation.face.of_clip(&clip.dataset, &clip.annotation)? {
-        FrameCrop::Fixed(face) => face.width,
-        FrameCrop::Upright { side, .. } => side,
-        FrameCrop::Whole => match clip.frame(clip.annotation.onset) {
-            Some(onset) => read_image_size(onset)?.0,
-            None => 0,
-        },
-    })
+    let crop = results.settings.preparation.face.of_clip(&clip.dataset, &clip.annotation)?;
+    let frame = clip.frame(clip.annotation.onset).map(read_image_size).transpose()?;
+    Ok(crop.size_in(frame.unwrap_or_default()).0)
 }

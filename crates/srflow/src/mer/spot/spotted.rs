@@ -40,7 +40,7 @@ pub struct Event {
 }
 
 impl Event {
-    /// An event among frames with these numbers and times, of which a pixel of the crop has so many.
+    /// An event among frames with these numbers and times; `pixel` is how many pixels of the video a pixel of the crop has.
     pub(super) fn new(
         event: &SpottedEvent,
         frame: impl Fn(usize) -> i64,

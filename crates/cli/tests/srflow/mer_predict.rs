@@ -112,6 +112,12 @@ fn what_does_not_fit_is_refused() {
     refuses(&other, 1, &["from flow of farneback", "this is tvl1"]);
     assert!(!set.join("no").exists());
 
+    let clip = fs::read_dir(set.join("set/s01")).unwrap().map(|entry| entry.unwrap().path());
+    let clip = clip.filter(|path| path.is_dir()).min().unwrap();
+    let clip = clip.to_str().unwrap();
+    let twice = srflow(set, &["predict", "model", clip, clip, "--clips", "--out", "twice"]);
+    refuses(&twice, 2, &["another clip is called"]);
+
     let run = |more: &[&str]| {
         let run = ["run", "--data", "clips:set", "--out", "results", "--force", "--save-model"];
         srflow(set, &[&run[..], more].concat())

@@ -6,6 +6,7 @@ mod events;
 mod files;
 mod page;
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -179,6 +180,14 @@ impl PredictJob {
             let frames = folder_for_frames()?;
             let clips = whole_clips.iter().map(|path| whole_clip(path, frames.path()));
             let clips = clips.collect::<anyhow::Result<Vec<_>>>()?;
+            let mut names = BTreeSet::new();
+            if let Some(clip) = clips.iter().find(|clip| !names.insert(&clip.annotation.clip)) {
+                wrong_settings!(
+                    "{}: another clip is called `{}`, too; rename one",
+                    clip.folder.display(),
+                    clip.annotation.clip
+                );
+            }
             settings.classes = &[];
             settings.landmarks = self.out.join("clips.landmarks.csv");
             return classify_clips(classifier, settings, clips, watch);

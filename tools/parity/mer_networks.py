@@ -3,10 +3,10 @@
     pip install torch==2.11.0
     python tools/parity/mer_networks.py crates/mer/tests/golden
 
-The three networks are rewritten below from the published code: Off-TANet and Off-ApexNet of
+The networks are rewritten below from the published code: Off-TANet and Off-ApexNet of
 ECNU-Cross-Innovation-Lab/PRICAI2021-Off-TANet (models/off_tanet.py with net_type "ta", models/off_apexnet.py), STSTNet of
-christy1206/STSTNet (main.py). Given a folder with the published code's models/ as a second argument, Off-TANet and
-Off-ApexNet are held to it, parameter by parameter and output by output.
+christy1206/STSTNet (main.py), SSSNet of tvaranka/meb (meb/models/me_networks.py). Given a folder with the published files off_tanet.py,
+off_apexnet.py or me_networks.py as a second argument, the networks are held to them, parameter by parameter and output by output.
 
 Parameters and inputs are not stored: both come from rules over names, shapes and positions, which
 crates/mer/tests/mer/parity.rs repeats. Dropout is off in training here: its choices come from another generator. Written for
@@ -163,9 +163,30 @@ class OffApexNet(nn.Module):
         return self.dense(torch.cat([self.cnn1(x[:, :1]), self.cnn2(x[:, 1:])], dim=1))
 
 
-NETWORKS = {"off-tanet": OffTaNet, "ststnet": StstNet, "off-apexnet": OffApexNet}
+class SssNet(nn.Module):
+    INPUT = (3, 64, 64)
+
+    def __init__(self):
+        super().__init__()
+        self.conv1, self.bn1 = nn.Conv2d(3, 32, 5), nn.BatchNorm2d(32)
+        self.conv2, self.bn2 = nn.Conv2d(32, 64, 3), nn.BatchNorm2d(64)
+        self.drop = nn.Dropout2d(0.5)
+        self.fc1, self.fc = nn.Linear(5184, 256), nn.Linear(256, 3)
+        self.drop3 = nn.Dropout(0.5)
+
+    def forward(self, x):
+        x = self.drop(self.bn1(F.max_pool2d(F.relu(self.conv1(x)), 3)))
+        x = self.drop(self.bn2(F.max_pool2d(F.relu(self.conv2(x)), 2)))
+        return self.fc(self.drop3(F.relu(self.fc1(x.flatten(1)))))
+
+
+NETWORKS = {"off-tanet": OffTaNet, "ststnet": StstNet, "off-apexnet": OffApexNet, "sssnet": SssNet}
 # Where the published code has each.
-PUBLISHED = {"off-tanet": ("off_tanet.py", "OffTANet"), "off-apexnet": ("off_apexnet.py", "OffApexNet")}
+PUBLISHED = {
+    "off-tanet": ("off_tanet.py", "OffTANet"),
+    "off-apexnet": ("off_apexnet.py", "OffApexNet"),
+    "sssnet": ("me_networks.py", "SSSNet"),
+}
 LABELS = [0, 2, 1, 0, 1]
 NO_GRADIENT = ["conv.0.bias", "conv.3.bias", "eres.conv1.0.bias", "eres.conv2.0.bias"]
 
@@ -190,7 +211,7 @@ def filled(network):
             state[name] = torch.from_numpy(np.ascontiguousarray(parameter(name, tuple(value.shape))))
     network.load_state_dict(state)
     for module in network.modules():
-        if isinstance(module, nn.Dropout):
+        if isinstance(module, (nn.Dropout, nn.Dropout2d)):
             module.p = 0.0
     return network
 
@@ -223,7 +244,7 @@ def main(folder, published=None):
     for name, network_class in NETWORKS.items():
         shape = (len(LABELS), *network_class.INPUT)
         inputs = torch.from_numpy(noise(int(np.prod(shape)), 7).reshape(shape))
-        if published and name in PUBLISHED:
+        if published and name in PUBLISHED and (published / PUBLISHED[name][0]).exists():
             compare(name, filled(network_class()), inputs, published)
         network = filled(network_class())
         if name == "ststnet":

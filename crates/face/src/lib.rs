@@ -5,6 +5,7 @@
 //! et al. 2019) finds 468 points in each. Both come as TFLite files in the package `mediapipe` 0.10.5 to 0.10.21 (Apache-2.0), and are
 //! computed here as MediaPipe's graphs `face_detection_short_range` and `face_landmark_front_cpu` do for single images.
 
+mod average;
 mod crop;
 mod detector;
 mod error;
@@ -15,6 +16,7 @@ mod region;
 mod table;
 mod tflite;
 
+pub use average::AVERAGE_FACE;
 pub use crop::{FaceBox, FrameCrop};
 pub use error::{FaceError, ModelError};
 pub use finder::{Face, FaceFinder, MODEL_SOURCES};

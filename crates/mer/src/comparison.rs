@@ -54,7 +54,7 @@ pub(crate) fn marked(outcomes: &[&Outcome], comparisons: &[Comparison]) -> Vec<[
         let best = (0..values.len())
             .fold(0, |best, row| if values[row][measure] > values[best][measure] { row } else { best });
         let Some(outcome) = outcomes.get(best) else { continue };
-        let chance = SubjectScores::new(&outcome.summary.baseline_folds());
+        let chance = outcome.chance_scores();
         let beyond = values[best][measure] > chance.measures()[measure]
             && scores[best].exchanged(&chance)[measure] < SIGNIFICANCE;
         let apart = |row: usize| {

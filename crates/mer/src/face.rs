@@ -10,7 +10,9 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use srflow_core::excerpt;
 use srflow_data::micro_expression::{Annotation, Clip};
-use srflow_face::{FaceBox, FaceError, FaceFinder, FacePoints, FrameCrop, LandmarkTable, write_landmarks};
+use srflow_face::{
+    AVERAGE_FACE, FaceBox, FaceError, FaceFinder, FacePoints, FrameCrop, LandmarkTable, write_landmarks,
+};
 use srflow_files::{FileProblem, read_image, whole_number};
 
 use crate::extract_error::{ExtractError, ExtractProblem};
@@ -194,6 +196,23 @@ impl FaceCrop {
 }
 
 impl FaceCrop {
+    /// dlib's points in the onset of a clip, as shares of its crop; those of an average face where no landmarks are known.
+    ///
+    /// # Errors
+    /// When the file of landmarks has none of the clip.
+    pub fn points_of_clip(
+        &self,
+        dataset: &str,
+        annotation: &Annotation,
+    ) -> Result<[[f64; 2]; 68], FaceError> {
+        let Self::Landmarks(landmarks) = self else { return Ok(AVERAGE_FACE) };
+        let face = landmarks.of_clip(dataset, annotation)?;
+        let crop = FrameCrop::upright(face);
+        let FrameCrop::Upright { side, .. } = crop else { return Ok(AVERAGE_FACE) };
+        let share = |point: [f64; 2]| crop.point(point).map(|at| (at + 0.5) / side as f64);
+        Ok(face.dlib.as_deref().map_or(AVERAGE_FACE, |dlib| dlib.map(share)))
+    }
+
     /// In a word, without files of this machine.
     pub fn kind(&self) -> &'static str {
         match self {

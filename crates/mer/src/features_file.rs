@@ -5,13 +5,17 @@ use std::path::Path;
 use serde::Serialize;
 use srflow_data::micro_expression::Clip;
 use srflow_eval::MethodRecord;
+use srflow_face::FaceError;
 use srflow_files::{FileError, NpzArray, write_npz};
 
 use crate::apex::ApexRule;
 use crate::extract::{FeatureSettings, Preparation};
+use crate::face::FaceCrop;
 use crate::features::FEATURE_SIDE;
+use crate::regions::{RegionFlow, Regions};
 use crate::run::{DataRecord, FeatureSet};
 use crate::sample::Sample;
+use crate::spotting::{ACTION_UNITS, region_motion_of_features, unit_motion};
 
 /// Provenance of features, for [`write_features`].
 #[derive(Debug, Clone)]
@@ -23,6 +27,8 @@ pub struct FeatureRecipe<'a> {
     pub preparation: &'a Preparation,
     /// How the apex of clips without one was spotted.
     pub apex: Option<ApexRule>,
+    /// How faces are divided into the regions whose motion is written, too.
+    pub regions: Option<Regions>,
 }
 
 /// The array `parameters`, as JSON.
@@ -39,6 +45,7 @@ struct Parameters<'a> {
     head_motion: &'static str,
     strain: &'static str,
     apex: Option<&'static str>,
+    regions: Option<&'static str>,
 }
 
 /// Writes features as an archive that NumPy reads with one `numpy.load`:
@@ -55,11 +62,21 @@ struct Parameters<'a> {
 /// | `names` | text | (classes,) | the classes' names, by number |
 /// | `parameters` | text | () | provenance, as JSON |
 ///
+/// With regions, also:
+///
+/// | array | type | shape | content |
+/// |---|---|---|---|
+/// | `region_names` | text | (R,) | names of the regions |
+/// | `region_map` | `int64` | (N, 112, 112) | number of the region of each pixel, from 1; 0 outside |
+/// | `regions` | `float32` | (N, R, 5) | mean u and v, mean strain, main directional mean u and v; NaN for a region without pixels |
+/// | `unit_numbers` | `int64` | (A,) | action units of FACS |
+/// | `units` | `float32` | (N, A) | how far the face moves as each does ([`unit_motion`]), pixels of 112 |
+///
 /// Clips are in the datasets' order, all of one method before those of the next.
 ///
 /// # Errors
-/// When the file cannot be written.
-pub fn write_features(path: &Path, set: &FeatureSet, recipe: &FeatureRecipe) -> Result<(), FileError> {
+/// When landmarks are missing, or the file cannot be written.
+pub fn write_features(path: &Path, set: &FeatureSet, recipe: &FeatureRecipe) -> Result<(), FeatureFileError> {
     let samples: Vec<(&str, &Sample)> = set
         .samples
         .iter()
@@ -94,25 +111,85 @@ pub fn write_features(path: &Path, set: &FeatureSet, recipe: &FeatureRecipe) -> 
         head_motion: head_motion.name(),
         strain: strain.name(),
         apex: recipe.apex.map(ApexRule::name),
+        regions: recipe.regions.map(Regions::name),
     };
     let parameters = serde_json::to_string(&parameters).expect("numbers and text");
-    write_npz(
-        path,
-        &[
-            ("X", NpzArray::Float(&[samples.len(), 3, FEATURE_SIDE, FEATURE_SIDE], &values)),
-            ("y", NpzArray::Integer(&count, &classes)),
-            ("subject", NpzArray::Text(&count, &subjects)),
-            ("clip", NpzArray::Text(&count, &clips)),
-            ("dataset", NpzArray::Text(&count, &datasets)),
-            ("method", NpzArray::Text(&count, &methods)),
-            ("onset", NpzArray::Integer(&count, &onsets)),
-            ("apex", NpzArray::Integer(&count, &apexes)),
-            ("offset", NpzArray::Integer(&count, &offsets)),
-            ("apex_spotted", NpzArray::Integer(&count, &spotted)),
-            ("action_units", NpzArray::Text(&count, &units)),
-            ("head_motion", NpzArray::Float(&[samples.len(), 5], &moved)),
-            ("names", NpzArray::Text(&[names.len()], &names)),
-            ("parameters", NpzArray::Text(&[], &[&parameters])),
-        ],
-    )
+    let parameters = [parameters.as_str()];
+    let (maps, motions, named) =
+        ([samples.len(), 3, FEATURE_SIDE, FEATURE_SIDE], [samples.len(), 5], [names.len()]);
+    let mut arrays = vec![
+        ("X", NpzArray::Float(&maps, &values)),
+        ("y", NpzArray::Integer(&count, &classes)),
+        ("subject", NpzArray::Text(&count, &subjects)),
+        ("clip", NpzArray::Text(&count, &clips)),
+        ("dataset", NpzArray::Text(&count, &datasets)),
+        ("method", NpzArray::Text(&count, &methods)),
+        ("onset", NpzArray::Integer(&count, &onsets)),
+        ("apex", NpzArray::Integer(&count, &apexes)),
+        ("offset", NpzArray::Integer(&count, &offsets)),
+        ("apex_spotted", NpzArray::Integer(&count, &spotted)),
+        ("action_units", NpzArray::Text(&count, &units)),
+        ("head_motion", NpzArray::Float(&motions, &moved)),
+        ("names", NpzArray::Text(&named, &names)),
+        ("parameters", NpzArray::Text(&[], &parameters)),
+    ];
+    let regions = recipe.regions.map(|regions| OfRegions::of(set, regions, face)).transpose()?;
+    let (numbers, number) = (ACTION_UNITS.map(i64::from), [ACTION_UNITS.len()]);
+    let shapes = regions.as_ref().map(|OfRegions { names, .. }| {
+        let (count, names) = (samples.len(), names.len());
+        ([names], [count, FEATURE_SIDE, FEATURE_SIDE], [count, names, 5], [count, ACTION_UNITS.len()])
+    });
+    if let Some((OfRegions { names, maps, values, units }, shapes)) = regions.as_ref().zip(shapes.as_ref()) {
+        arrays.extend([
+            ("region_names", NpzArray::Text(&shapes.0, names)),
+            ("region_map", NpzArray::Integer(&shapes.1, maps)),
+            ("regions", NpzArray::Float(&shapes.2, values)),
+            ("unit_numbers", NpzArray::Integer(&number, &numbers)),
+            ("units", NpzArray::Float(&shapes.3, units)),
+        ]);
+    }
+    Ok(write_npz(path, &arrays)?)
+}
+
+/// The motion of regions and action units, in the order of the samples.
+struct OfRegions {
+    names: Vec<&'static str>,
+    maps: Vec<i64>,
+    values: Vec<f32>,
+    units: Vec<f32>,
+}
+
+impl OfRegions {
+    fn of(set: &FeatureSet, regions: Regions, face: &FaceCrop) -> Result<Self, FaceError> {
+        let of_clip = |clip: &Clip| {
+            let points = face.points_of_clip(&clip.dataset, &clip.annotation)?;
+            Ok((regions.map(&points), points))
+        };
+        let faces = set.clips.iter().map(of_clip).collect::<Result<Vec<_>, FaceError>>()?;
+        let names = regions.names();
+        let mut this = Self { names, maps: Vec::new(), values: Vec::new(), units: Vec::new() };
+        let unknown = RegionFlow { mean: [f32::NAN; 2], strain: f32::NAN, main: [f32::NAN; 2] };
+        for (sample, (map, points)) in set.samples.iter().flat_map(|(_, samples)| samples.iter().zip(&faces))
+        {
+            this.maps.extend(map.labels().iter().map(|label| i64::from(*label)));
+            for flow in map.flow(&sample.features) {
+                let RegionFlow { mean: [u, v], strain, main } = flow.unwrap_or(unknown);
+                this.values.extend([u, v, strain, main[0], main[1]]);
+            }
+            let motion = region_motion_of_features(points, &sample.features);
+            this.units.extend(unit_motion(&motion).map(|moved| moved as f32));
+        }
+        Ok(this)
+    }
+}
+
+/// Why features could not be written.
+#[derive(Debug, thiserror::Error)]
+pub enum FeatureFileError {
+    /// A clip has no landmarks.
+    #[error(transparent)]
+    Face(#[from] FaceError),
+    /// The file could not be written.
+    #[error(transparent)]
+    File(#[from] FileError),
 }

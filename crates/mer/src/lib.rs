@@ -22,6 +22,7 @@ mod outcome;
 mod predictions;
 mod protocol;
 mod recognition_protocol;
+mod regions;
 mod report;
 mod results;
 mod results_csv;
@@ -44,7 +45,7 @@ pub use balance::Balance;
 pub use cache::{FeatureCache, FeatureKey, file_digest};
 pub use classifier::{
     CLASSIFIERS, Classifier, ClassifierEntry, ClassifierFacts, INVERSE_STRENGTHS, LogisticRegression,
-    Observation, OffApexNet, OffTaNet, StstNet, initialized, validation_losses,
+    Observation, OffApexNet, OffTaNet, SssNet, StstNet, initialized, validation_losses,
 };
 pub use comparison::{Comparison, comparisons};
 pub use extract::{
@@ -54,11 +55,11 @@ pub use extract::{
 pub use extract_error::{ExtractError, ExtractProblem};
 pub use face::{FaceCrop, Landmarks};
 pub use features::{Channel, FEATURE_SIDE, FeatureError, Features};
-pub use features_file::{FeatureRecipe, write_features};
+pub use features_file::{FeatureFileError, FeatureRecipe, write_features};
 pub use head_motion::{HeadMotion, SubtractedMotion};
 pub use loso::{
-    Fold, FoldFolder, FoldRecord, LabelledClip, Loso, LosoError, LosoEvent, folds, leave_one_subject_out,
-    leave_one_subject_out_by,
+    Fold, FoldFolder, FoldRecord, LabelledClip, Loso, LosoError, LosoEvent, fold_without, folds,
+    leave_dataset_out, leave_one_subject_out, leave_one_subject_out_by,
 };
 pub use metrics::{Confusion, Scores};
 pub use model::{
@@ -69,6 +70,7 @@ pub use outcome::{METRICS, Outcome, OutcomeRecord, by_set};
 pub use predictions::{Prediction, PredictionsError, Trial, read_predictions, write_predictions};
 pub use protocol::{Protocol, ProtocolError};
 pub use recognition_protocol::RecognitionProtocol;
+pub use regions::{RegionFlow, RegionMap, Regions};
 pub use report::{ReportError, ReportParts, report};
 pub use results::{confusion_latex, confusion_title, fold_table, score_tables, unseen_classes};
 pub use results_csv::{comparisons_csv, confusions_csv, folds_csv, scores_csv};

@@ -1,4 +1,5 @@
-//! Leave one subject out: each subject of every dataset is classified by a model trained on all other subjects.
+//! Leave one subject out: each subject of every dataset is classified by a model trained on all other subjects. Or leave a dataset out:
+//! its clips are classified by a model trained on the other datasets.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
@@ -29,9 +30,9 @@ const VERSION: u32 = 1;
 pub struct Loso {
     /// The classes' names, by number.
     pub classes: Arc<[String]>,
-    /// By dataset, subject, clip, then epoch.
+    /// By fold, seed, clip, then epoch.
     pub predictions: Vec<Prediction>,
-    /// By dataset, then subject.
+    /// By dataset and subject, then seed.
     pub folds: Vec<FoldRecord>,
 }
 
@@ -40,15 +41,34 @@ pub struct Loso {
 pub struct FoldRecord {
     /// The dataset of the held-out subject.
     pub dataset: String,
-    pub subject: String,
+    /// `None` where the whole dataset is held out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub subject: Option<String>,
+    pub seed: u64,
     pub clips: usize,
-    /// Classes that no other subject has: the classifier cannot learn them.
+    /// Classes that no training clip shows: the classifier cannot learn them.
     pub unseen_classes: Vec<String>,
     /// By recorded epoch: mean cross-entropy over the training clips during that epoch.
     pub training_losses: Vec<f64>,
     pub seconds: f64,
     /// Whether an earlier run computed it.
     pub resumed: bool,
+}
+
+impl FoldRecord {
+    /// What is held out, e.g. `samm 006`.
+    pub fn name(&self) -> String {
+        name_of(&self.dataset, self.subject.as_deref())
+    }
+
+    /// Whether clips of this subject are held out.
+    pub(crate) fn tested(&self, dataset: &str, subject: &str) -> bool {
+        self.dataset == dataset && self.subject.as_deref().is_none_or(|held_out| held_out == subject)
+    }
+}
+
+fn name_of(dataset: &str, subject: Option<&str>) -> String {
+    [Some(dataset), subject].into_iter().flatten().collect::<Vec<_>>().join(" ")
 }
 
 /// A clip with its class. (dataset, subject, clip) identifies it.
@@ -67,22 +87,39 @@ impl<'a> From<&'a Sample> for LabelledClip<'a> {
     }
 }
 
-/// A held-out subject. The indices of clips are in order of dataset, subject and clip.
+/// A held-out subject or dataset. The indices of clips are in order of dataset, subject and clip.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fold {
     pub dataset: String,
-    pub subject: String,
-    /// The subject's clips.
+    /// `None` where the whole dataset is held out.
+    pub subject: Option<String>,
+    /// The held-out clips.
     pub tested: Vec<usize>,
     /// All others.
     pub training: Vec<usize>,
+}
+
+impl Fold {
+    /// What is held out, e.g. `samm 006`.
+    pub fn name(&self) -> String {
+        name_of(&self.dataset, self.subject.as_deref())
+    }
+
+    /// What identifies its random numbers: `samm/006`.
+    fn key(&self) -> String {
+        [Some(self.dataset.as_str()), self.subject.as_deref()]
+            .into_iter()
+            .flatten()
+            .collect::<Vec<_>>()
+            .join("/")
+    }
 }
 
 /// Where finished folds are stored, and which are run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FoldFolder<'a> {
     pub path: &'a Path,
-    /// Numbers of the folds, by dataset and subject; those beyond the last are ignored.
+    /// Numbers of the folds, by dataset and subject, each with all seeds; those beyond the last are ignored.
     pub part: Range<usize>,
 }
 
@@ -118,22 +155,20 @@ pub enum LosoError {
     Protocol(#[from] ProtocolError),
     #[error("leaving one subject out needs clips of at least 2 subjects; found {}", listed(.0))]
     Subjects(Vec<String>),
+    #[error("there is no clip of {dataset}, or of no other dataset: leaving a dataset out needs both")]
+    Dataset { dataset: String },
     #[error("{dataset} subject {subject} has two clips called {clip}; give each its own name")]
     SameClip { dataset: String, subject: String, clip: String },
-    #[error(
-        "training without {dataset} subject {subject} diverged in epoch {epoch}; try a smaller learning rate"
-    )]
+    #[error("training without {held_out} diverged in epoch {epoch}; try a smaller learning rate")]
     Diverged {
-        dataset: String,
-        /// The held-out subject.
-        subject: String,
+        /// Dataset and subject.
+        held_out: String,
         epoch: usize,
     },
-    #[error("{dataset} subject {subject}: expected the classes of {clips} clips, numbers from 0 to {}; found {found}", .classes.saturating_sub(1))]
+    #[error("{held_out}: expected the classes of {clips} clips, numbers from 0 to {}; found {found}", .classes.saturating_sub(1))]
     Predicted {
-        dataset: String,
-        /// The held-out subject.
-        subject: String,
+        /// Dataset and subject.
+        held_out: String,
         clips: usize,
         classes: usize,
         /// What the classifier gave.
@@ -156,13 +191,7 @@ fn listed(subjects: &[String]) -> String {
 /// # Errors
 /// When there are fewer than two subjects, or two clips share a name.
 pub fn folds(clips: &[LabelledClip]) -> Result<Vec<Fold>, LosoError> {
-    let name = |index: usize| [clips[index].dataset, clips[index].subject, clips[index].clip];
-    let mut order: Vec<usize> = (0..clips.len()).collect();
-    order.sort_by_key(|&index| name(index));
-    if let Some(pair) = order.windows(2).find(|pair| name(pair[0]) == name(pair[1])) {
-        let [dataset, subject, clip] = name(pair[0]).map(str::to_owned);
-        return Err(LosoError::SameClip { dataset, subject, clip });
-    }
+    let order = in_order(clips)?;
     let mut subjects: Vec<[&str; 2]> =
         order.iter().map(|&index| [clips[index].dataset, clips[index].subject]).collect();
     subjects.dedup();
@@ -172,9 +201,34 @@ pub fn folds(clips: &[LabelledClip]) -> Result<Vec<Fold>, LosoError> {
     let fold = |[dataset, subject]: [&str; 2]| {
         let held_out = |&index: &usize| clips[index].dataset == dataset && clips[index].subject == subject;
         let (tested, training) = order.iter().copied().partition(held_out);
-        Fold { dataset: dataset.to_owned(), subject: subject.to_owned(), tested, training }
+        Fold { dataset: dataset.to_owned(), subject: Some(subject.to_owned()), tested, training }
     };
     Ok(subjects.into_iter().map(fold).collect())
+}
+
+/// The fold that holds a dataset out.
+///
+/// # Errors
+/// When it or the others have no clip, or two clips share a name.
+pub fn fold_without(dataset: &str, clips: &[LabelledClip]) -> Result<Fold, LosoError> {
+    let held_out = |&index: &usize| clips[index].dataset == dataset;
+    let (tested, training): (Vec<usize>, Vec<usize>) = in_order(clips)?.into_iter().partition(held_out);
+    if tested.is_empty() || training.is_empty() {
+        return Err(LosoError::Dataset { dataset: dataset.to_owned() });
+    }
+    Ok(Fold { dataset: dataset.to_owned(), subject: None, tested, training })
+}
+
+/// The clips' indices in order of dataset, subject and clip.
+fn in_order(clips: &[LabelledClip]) -> Result<Vec<usize>, LosoError> {
+    let name = |index: usize| [clips[index].dataset, clips[index].subject, clips[index].clip];
+    let mut order: Vec<usize> = (0..clips.len()).collect();
+    order.sort_by_key(|&index| name(index));
+    if let Some(pair) = order.windows(2).find(|pair| name(pair[0]) == name(pair[1])) {
+        let [dataset, subject, clip] = name(pair[0]).map(str::to_owned);
+        return Err(LosoError::SameClip { dataset, subject, clip });
+    }
+    Ok(order)
 }
 
 /// Leaves one subject out with a classifier of another program: `classify` gets every fold in order, and gives the class of each of its
@@ -194,8 +248,7 @@ pub fn leave_one_subject_out_by<E: From<LosoError>>(
         let predicted = classify(fold)?;
         if predicted.len() != fold.tested.len() || predicted.iter().any(|class| *class >= classes.len()) {
             return Err(LosoError::Predicted {
-                dataset: fold.dataset.clone(),
-                subject: fold.subject.clone(),
+                held_out: fold.name(),
                 clips: fold.tested.len(),
                 classes: classes.len(),
                 found: format!("{} numbers: {predicted:?}", predicted.len()),
@@ -208,10 +261,12 @@ pub fn leave_one_subject_out_by<E: From<LosoError>>(
         let trained = Trained { scores, losses: Vec::new(), seconds: start.elapsed().as_secs_f64() };
         finished.push(Finished { trained, resumed: false });
     }
+    let folds: Vec<(&Fold, u64)> = folds.iter().map(|fold| (fold, 0)).collect();
     Ok(assembled(clips, classes, &[0], &folds, finished))
 }
 
-/// For each subject, trains a classifier on the samples of all others, and records its predictions for the subject's clips.
+/// For each subject, trains a classifier on the samples of all others with each seed of the protocol, and records its predictions for the
+/// subject's clips.
 /// `classes` are the classes' names; the samples' classes are indices into them.
 ///
 /// Folds are distributed over the threads of the current pool. Each is computed by one thread with its own random numbers: the
@@ -230,66 +285,128 @@ pub fn leave_one_subject_out(
     on_event: &(dyn Fn(LosoEvent) + Sync),
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Loso, LosoError> {
-    classifier.check(protocol)?;
     let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
-    let mut folds = folds(&clips)?;
-    let store = match folder {
-        Some(FoldFolder { path, part }) => {
-            folds.truncate(part.end);
-            folds.drain(..part.start.min(folds.len()));
-            Some(Store::open(path, classifier, classes, protocol, &sorted(samples))?)
-        }
-        None => None,
+    train_folds(folds(&clips)?, samples, classes, folder, &Lessons { classifier, protocol, on_event, stop })
+}
+
+/// Trains a classifier on the samples of all datasets but one with each seed of the protocol, and records its predictions for the clips of that one. Everything
+/// else is as in [`leave_one_subject_out`].
+///
+/// # Errors
+/// Those of [`fold_without`]; when training diverges, the fold cannot be stored, or `stop` says so.
+#[expect(clippy::too_many_arguments, reason = "as those of `leave_one_subject_out`, and the dataset")]
+pub fn leave_dataset_out(
+    dataset: &str,
+    classifier: &ClassifierEntry,
+    samples: &[Sample],
+    classes: &Arc<[String]>,
+    protocol: &Protocol,
+    folder: Option<FoldFolder>,
+    on_event: &(dyn Fn(LosoEvent) + Sync),
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Result<Loso, LosoError> {
+    let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
+    let folds = vec![fold_without(dataset, &clips)?];
+    train_folds(folds, samples, classes, folder, &Lessons { classifier, protocol, on_event, stop })
+}
+
+/// How folds are trained.
+struct Lessons<'a> {
+    classifier: &'a ClassifierEntry,
+    protocol: &'a Protocol,
+    on_event: &'a (dyn Fn(LosoEvent) + Sync),
+    stop: &'a (dyn Fn() -> bool + Sync),
+}
+
+fn train_folds(
+    mut folds: Vec<Fold>,
+    samples: &[Sample],
+    classes: &Arc<[String]>,
+    folder: Option<FoldFolder>,
+    lessons: &Lessons,
+) -> Result<Loso, LosoError> {
+    let Lessons { classifier, protocol, .. } = *lessons;
+    classifier.check(protocol)?;
+    if let Some(FoldFolder { part, .. }) = &folder {
+        folds.truncate(part.end);
+        folds.drain(..part.start.min(folds.len()));
+    }
+    let sorted = sorted(samples);
+    let store = |protocol: &Protocol| {
+        let store =
+            |FoldFolder { path, .. }: &FoldFolder| Store::open(path, classifier, classes, protocol, &sorted);
+        folder.as_ref().map(store).transpose()
     };
+    let seeds: Vec<(Protocol, Option<Store>)> = protocol
+        .of_each_seed()
+        .map(|protocol| Ok((protocol.clone(), store(&protocol)?)))
+        .collect::<Result<_, LosoError>>()?;
     let examples = Example::of_samples(samples, classifier.input);
-    let recorded = classifier.recorded(protocol);
-    let run = |Fold { dataset, subject, tested, training }: &Fold| -> Result<Finished, LosoError> {
-        let file = store.as_ref().map(|store| store.file(dataset, subject));
-        let clips = training.len();
-        let shape = [recorded.len(), tested.len(), classes.len()];
+    let units: Vec<(&Fold, &(Protocol, Option<Store>))> =
+        folds.iter().flat_map(|fold| seeds.iter().map(move |seed| (fold, seed))).collect();
+    let finished = each_on_one_thread(&units, |(fold, (protocol, store))| {
+        lessons.finished(fold, protocol, store.as_ref(), &examples, classes.len())
+    })?;
+    let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
+    let units: Vec<(&Fold, u64)> =
+        units.into_iter().map(|(fold, (protocol, _))| (fold, protocol.seed)).collect();
+    Ok(assembled(&clips, classes, &classifier.recorded(protocol), &units, finished))
+}
+
+impl Lessons<'_> {
+    /// One fold, trained or as it was stored.
+    fn finished(
+        &self,
+        fold: &Fold,
+        protocol: &Protocol,
+        store: Option<&Store>,
+        examples: &[Example],
+        classes: usize,
+    ) -> Result<Finished, LosoError> {
+        let file = store.map(|store| store.file(fold));
+        let clips = fold.training.len();
+        let recorded = self.classifier.recorded(protocol);
+        let shape = [recorded.len(), fold.tested.len(), classes];
         if let Some(finished) = file.as_deref().map(|file| read_fold(file, shape)).transpose()?.flatten() {
-            on_event(LosoEvent::Fold { clips, resumed: true });
+            (self.on_event)(LosoEvent::Fold { clips, resumed: true });
             return Ok(finished);
         }
         let of = |indices: &[usize]| -> Vec<&Example> { indices.iter().map(|&i| &examples[i]).collect() };
-        let name = format!("{dataset}/{subject}");
-        let lesson = Lesson { name: &name, classes: classes.len(), examples: &of(training), protocol };
-        let trained = train_fold(classifier.train, &lesson, &of(tested), &recorded, &|| {
-            on_event(LosoEvent::Epoch { clips });
-            !stop()
+        let name = fold.key();
+        let lesson = Lesson { name: &name, classes, examples: &of(&fold.training), protocol };
+        let trained = train_fold(self.classifier.train, &lesson, &of(&fold.tested), &recorded, &|| {
+            (self.on_event)(LosoEvent::Epoch { clips });
+            !(self.stop)()
         });
         let trained = trained.map_err(|unfinished| match unfinished {
-            Unfinished::Diverged { epoch } => {
-                LosoError::Diverged { dataset: dataset.clone(), subject: subject.clone(), epoch }
-            }
+            Unfinished::Diverged { epoch } => LosoError::Diverged { held_out: fold.name(), epoch },
             Unfinished::Stopped => LosoError::Stopped,
         })?;
         let finished = Finished { trained, resumed: false };
         if let Some(file) = &file {
             write_fold(file, &name, &finished.trained)?;
         }
-        on_event(LosoEvent::Fold { clips, resumed: false });
+        (self.on_event)(LosoEvent::Fold { clips, resumed: false });
         Ok(finished)
-    };
-    let finished = each_on_one_thread(&folds, run)?;
-    Ok(assembled(&clips, classes, &recorded, &folds, finished))
+    }
 }
 
-/// The results of all folds, with predictions at these `epochs`.
+/// The results of all folds and seeds, with predictions at these `epochs`.
 fn assembled(
     clips: &[LabelledClip],
     classes: &Arc<[String]>,
     epochs: &[usize],
-    folds: &[Fold],
+    folds: &[(&Fold, u64)],
     finished: Vec<Finished>,
 ) -> Loso {
     let mut loso = Loso { classes: classes.clone(), predictions: Vec::new(), folds: Vec::new() };
-    for (fold, Finished { trained, resumed }) in folds.iter().zip(finished) {
+    for (&(fold, seed), Finished { trained, resumed }) in folds.iter().zip(finished) {
         let seen: BTreeSet<usize> = fold.training.iter().map(|&index| clips[index].class).collect();
         let unseen = (0..classes.len()).filter(|class| !seen.contains(class));
         loso.folds.push(FoldRecord {
             dataset: fold.dataset.clone(),
             subject: fold.subject.clone(),
+            seed,
             clips: fold.tested.len(),
             unseen_classes: unseen.map(|class| classes[class].clone()).collect(),
             training_losses: trained.losses,
@@ -304,6 +421,7 @@ fn assembled(
                     subject: subject.to_owned(),
                     clip: clip.to_owned(),
                     truth: class,
+                    seed,
                     epoch,
                     predicted: Prediction::class_of(&scores[position]),
                     scores: scores[position].clone(),
@@ -390,8 +508,12 @@ impl Store {
         Ok(Self { folder: folder.to_owned(), run: digest.finalize().to_vec() })
     }
 
-    fn file(&self, dataset: &str, subject: &str) -> PathBuf {
-        let digest = Sha256::new().chain_update(&self.run).chain_update(format!("{dataset:?} {subject:?}"));
+    fn file(&self, Fold { dataset, subject, .. }: &Fold) -> PathBuf {
+        let held_out = match subject {
+            Some(subject) => format!("{dataset:?} {subject:?}"),
+            None => format!("{dataset:?}"),
+        };
+        let digest = Sha256::new().chain_update(&self.run).chain_update(held_out);
         let name: String = digest.finalize().iter().take(16).map(|byte| format!("{byte:02x}")).collect();
         self.folder.join(format!("{name}.json"))
     }

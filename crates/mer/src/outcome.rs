@@ -52,8 +52,7 @@ impl Outcome {
     /// Whether another run has the same subjects with the same clips.
     pub(crate) fn has_subjects_of(&self, other: &Self) -> bool {
         let subjects = |outcome: &Self| {
-            let of =
-                |fold: &FoldScores| (fold.dataset.clone(), fold.subject.clone(), fold.confusions[0].total());
+            let of = |fold: &FoldScores| (fold.dataset.clone(), fold.subject.clone(), fold.clips());
             outcome.summary.folds.iter().map(of).collect::<Vec<_>>()
         };
         self.set == other.set && subjects(self) == subjects(other)
@@ -61,7 +60,32 @@ impl Outcome {
 
     /// The subjects' scores after the last epoch.
     pub(crate) fn last_scores(&self) -> SubjectScores {
-        SubjectScores::new(self.summary.folds.iter().filter_map(|fold| fold.confusions.last()))
+        SubjectScores::new(self.summary.folds.iter().map(FoldScores::last))
+    }
+
+    /// The subjects' scores if the most frequent class is always predicted.
+    pub(crate) fn chance_scores(&self) -> SubjectScores {
+        SubjectScores::new(self.summary.baseline_folds().iter().map(Vec::as_slice))
+    }
+
+    /// The scores after the last epoch by seed, where there are several seeds.
+    pub(crate) fn scores_by_seed(&self) -> Vec<(u64, [f64; MEASURES])> {
+        let seeds = &self.summary.seeds;
+        if seeds.len() < 2 {
+            return Vec::new();
+        }
+        let of_seed = |number: usize| {
+            let folds = self.summary.folds.iter().map(move |fold| &fold.last()[number..=number]);
+            SubjectScores::new(folds).measures()
+        };
+        seeds.iter().enumerate().map(|(number, seed)| (*seed, of_seed(number))).collect()
+    }
+
+    /// Mean training loss over the folds with a subject's clips, after the last epoch; `None` if it is not known.
+    pub(crate) fn training_loss(&self, fold: &FoldScores) -> Option<f64> {
+        let of_fold = self.folds.iter().filter(|record| record.tested(&fold.dataset, &fold.subject));
+        let losses: Vec<f64> = of_fold.filter_map(|record| record.training_losses.last().copied()).collect();
+        (!losses.is_empty()).then(|| losses.iter().sum::<f64>() / losses.len() as f64)
     }
 
     /// All numbers, as JSON.
@@ -77,6 +101,7 @@ impl Outcome {
             best: METRICS.iter().zip(self.summary.best()).map(metric).collect(),
             last: EpochRecord::of(self.summary.last()),
             intervals: MEASURE_KEYS.iter().map(|(key, _)| *key).zip(self.last_scores().intervals()).collect(),
+            seeds: self.scores_by_seed().into_iter().map(SeedRecord::of).collect(),
             epochs: self.summary.epochs.iter().map(EpochRecord::of).collect(),
             baseline: BaselineRecord {
                 always: self.summary.classes[self.summary.most_frequent_class()].clone(),
@@ -96,10 +121,27 @@ pub struct OutcomeRecord {
     last: EpochRecord,
     /// Of the scores after the last epoch, over subjects.
     intervals: BTreeMap<&'static str, Interval>,
+    /// Of the last epoch, where there are several.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    seeds: Vec<SeedRecord>,
     epochs: Vec<EpochRecord>,
     baseline: BaselineRecord,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     folds: Vec<FoldRecord>,
+}
+
+/// The scores of one seed.
+#[derive(Debug, Clone, Serialize)]
+struct SeedRecord {
+    seed: u64,
+    #[serde(flatten)]
+    scores: BTreeMap<&'static str, f64>,
+}
+
+impl SeedRecord {
+    fn of((seed, scores): (u64, [f64; MEASURES])) -> Self {
+        Self { seed, scores: MEASURE_KEYS.iter().map(|(key, _)| *key).zip(scores).collect() }
+    }
 }
 
 /// The baseline that always predicts one class.
@@ -124,14 +166,14 @@ struct EpochRecord {
     mean: Scores,
     uf1: f64,
     uar: f64,
-    /// `[truth][predicted]`.
+    /// `[truth][predicted]`, of all seeds.
     confusion: Vec<Vec<usize>>,
 }
 
 impl EpochRecord {
-    fn of(EpochScores { epoch, mean, pooled }: &EpochScores) -> Self {
-        let (uf1, uar) = (pooled.uf1(), pooled.uar());
-        Self { epoch: *epoch, mean: *mean, uf1, uar, confusion: pooled.0.clone() }
+    fn of(scores: &EpochScores) -> Self {
+        let (uf1, uar) = (scores.uf1(), scores.uar());
+        Self { epoch: scores.epoch, mean: scores.mean, uf1, uar, confusion: scores.counts().0 }
     }
 }
 

@@ -18,6 +18,8 @@ pub struct Prediction {
     pub clip: String,
     /// True class number.
     pub truth: usize,
+    /// Seed of the training; 0 where there is none.
+    pub seed: u64,
     /// Number of previous epochs, so that the first is 0.
     pub epoch: usize,
     /// Predicted class number.
@@ -82,6 +84,8 @@ impl Prediction {
 
 /// The columns before the scores; their order is free.
 const COLUMNS: [&str; 8] = ["method", "set", "dataset", "subject", "clip", "truth", "epoch", "predicted"];
+/// Column that a file lacks where all seeds are 0.
+const SEED: &str = "seed";
 /// Prefix of a score column, followed by the class: these columns define the classes' names and order.
 const SCORE: &str = "score_";
 /// As many classes as clips can be divided into.
@@ -97,9 +101,12 @@ pub fn write_predictions(path: &Path, trials: &[Trial]) -> Result<(), FileError>
         let mut writer = csv::Writer::from_writer(file);
         let classes = trials.first().map_or(&[][..], |trial| &trial.classes);
         let scores = classes.iter().map(|class| format!("{SCORE}{class}"));
-        writer.write_record(COLUMNS.map(str::to_owned).into_iter().chain(scores))?;
+        let seeded =
+            trials.iter().flat_map(|trial| &trial.predictions).any(|prediction| prediction.seed != 0);
+        let seed = seeded.then(|| SEED.to_owned());
+        writer.write_record(COLUMNS.map(str::to_owned).into_iter().chain(seed).chain(scores))?;
         for Trial { method, set, classes, predictions } in trials {
-            for Prediction { dataset, subject, clip, truth, epoch, predicted, scores } in predictions {
+            for Prediction { dataset, subject, clip, truth, seed, epoch, predicted, scores } in predictions {
                 let epoch = epoch.to_string();
                 let fixed =
                     [method, set, dataset, subject, clip, &classes[*truth], &epoch, &classes[*predicted]];
@@ -108,7 +115,8 @@ pub fn write_predictions(path: &Path, trials: &[Trial]) -> Result<(), FileError>
                     false => score.to_string(),
                 });
                 let fixed = fixed.into_iter().map(|text| csv_cell(text).into_owned());
-                writer.write_record(fixed.chain(scores))?;
+                let seed = seeded.then(|| seed.to_string());
+                writer.write_record(fixed.chain(seed).chain(scores))?;
             }
         }
         writer.flush()
@@ -147,6 +155,7 @@ pub fn read_predictions(path: &Path) -> Result<Vec<Trial>, PredictionsError> {
         return Err(PredictionsError::Value { path: path.to_owned(), line: 1, reason });
     }
     let columns = COLUMNS.map(|column| place(column).unwrap_or(0));
+    let seed_column = place(SEED);
     let classes: Arc<[String]> = scores.iter().map(|(_, class)| class.clone()).collect();
     let mut trials: Vec<Trial> = Vec::new();
     let mut numbers: HashMap<[String; 2], usize> = HashMap::new();
@@ -172,6 +181,12 @@ pub fn read_predictions(path: &Path) -> Result<Vec<Trial>, PredictionsError> {
         let epoch = epoch.trim().parse().map_err(|_| {
             refused(format!("epoch: expected a whole number from 0, found `{}`", excerpt(epoch)))
         })?;
+        let seed = match seed_column.map(|at| record.get(at).unwrap_or_default()) {
+            None => 0,
+            Some(text) => text.trim().parse().map_err(|_| {
+                refused(format!("{SEED}: expected a whole number from 0, found `{}`", excerpt(text)))
+            })?,
+        };
         let score = |(at, class): &(usize, String)| {
             let text = record.get(*at).unwrap_or_default();
             text.trim()
@@ -200,6 +215,7 @@ pub fn read_predictions(path: &Path) -> Result<Vec<Trial>, PredictionsError> {
             subject: subject.to_owned(),
             clip: clip.to_owned(),
             truth,
+            seed,
             epoch,
             predicted,
             scores,

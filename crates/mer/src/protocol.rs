@@ -43,6 +43,9 @@ pub struct Protocol {
     /// Seed of the initial parameters, the order of clips and dropout
     #[arg(long, value_name = "SEED", default_value_t = Self::default().seed)]
     pub seed: u64,
+    /// Train so many times, with this many seeds from --seed on; scores are means over them
+    #[arg(long, value_name = "N", default_value_t = Self::default().seeds)]
+    pub seeds: usize,
 }
 
 /// Why a protocol cannot be followed.
@@ -78,6 +81,7 @@ impl Default for Protocol {
             balance: Balance::None,
             augment: Augment::None,
             seed: 0,
+            seeds: 1,
         }
     }
 }
@@ -93,6 +97,7 @@ impl Protocol {
             ("number of epochs between recordings", self.record_every),
             ("batch size", self.batch),
             ("number of epochs between decays", self.decay_every),
+            ("number of seeds", self.seeds),
         ] {
             if value == 0 {
                 return Err(ProtocolError::Range { name, value: 0.0, expected: "at least 1" });
@@ -118,6 +123,7 @@ impl Protocol {
             balance: _,
             augment: _,
             seed,
+            seeds,
         } = self;
         let default = Self::default();
         let changed = [
@@ -128,11 +134,21 @@ impl Protocol {
             ("decay_every", *decay_every != default.decay_every),
             ("decay", *decay != default.decay),
             ("seed", *seed != default.seed),
+            ("seeds", *seeds != default.seeds),
         ];
         changed.into_iter().find_map(|(name, changed)| changed.then_some(name))
     }
 
-    /// All values as a text that identifies stored folds. It must not change: folds of another text are trained again.
+    /// The protocol of each seed.
+    pub(crate) fn of_each_seed(&self) -> impl Iterator<Item = Self> {
+        (0..self.seeds as u64).map(|number| Self {
+            seed: self.seed.wrapping_add(number),
+            seeds: 1,
+            ..self.clone()
+        })
+    }
+
+    /// All values of one seed as a text that identifies stored folds. It must not change: folds of another text are trained again.
     pub fn identity(&self) -> String {
         let Self {
             epochs,
@@ -144,6 +160,7 @@ impl Protocol {
             balance: _,
             augment: _,
             seed,
+            seeds: _,
         } = self;
         format!(
             "Protocol {{ epochs: {epochs}, record_every: {record_every}, batch: {batch}, learning_rate: {learning_rate:?}, \

@@ -14,7 +14,7 @@ use crate::face::FaceCrop;
 use crate::features::{Channel, FEATURE_SIDE};
 use crate::outcome::{Outcome, by_set};
 use crate::predictions::{Prediction, Trial};
-use crate::results::{baseline_name, fold_table, score_tables, unseen_classes};
+use crate::results::{baseline_name, confusion_name, fold_table, score_tables, unseen_classes};
 use crate::sample::Sample;
 use crate::strain::strain_colors;
 
@@ -104,14 +104,13 @@ const TABLE_CAPTION: &str = "P, R and F1 are macro averages over the classes amo
     the last is fixed before training, and the best, chosen on the test clips themselves, is optimistic.";
 
 fn confusion(outcome: &Outcome) -> Figure {
-    let last = outcome.summary.last();
     let chart = Chart::new(
-        format!("{}: confusion matrix{}", outcome.method, outcome.summary.after_last()),
+        format!("{}: {}", outcome.method, confusion_name(outcome)),
         "predicted class",
         "true class",
         "",
     );
-    confusion_matrix(&outcome.summary.classes, &last.pooled.0, &chart)
+    confusion_matrix(&outcome.summary.classes, &outcome.summary.last().counts().0, &chart)
 }
 
 fn accuracies(outcomes: &[&Outcome]) -> Figure {
@@ -155,7 +154,9 @@ fn chart(title: &str, y: &str) -> Chart {
 /// Clips spread over the set, after the last epoch; flow and strain have one common scale.
 fn clips(parts: &ReportParts, trial: &Trial, samples: &[Sample]) -> Result<Vec<Figure>, ReportError> {
     let last = trial.predictions.iter().map(|prediction| prediction.epoch).max();
-    let of_last: Vec<&Prediction> = trial.predictions.iter().filter(|p| Some(p.epoch) == last).collect();
+    let seed = trial.predictions.first().map(|prediction| prediction.seed);
+    let shown = |p: &&Prediction| Some(p.epoch) == last && Some(p.seed) == seed;
+    let of_last: Vec<&Prediction> = trial.predictions.iter().filter(shown).collect();
     let every = of_last.len().div_ceil(SHOWN_CLIPS).max(1);
     let shown: Vec<Shown> = of_last
         .into_iter()

@@ -6,11 +6,14 @@ use srflow_report::csv_text;
 use crate::comparison::{Comparison, comparisons};
 use crate::outcome::{MEASURE_KEYS, METRICS, Outcome, by_set};
 use crate::results::baseline_name;
-use crate::statistics::{MEASURES, SubjectScores};
+use crate::statistics::MEASURES;
+use crate::summary::mean_scores;
 
-/// The rows of [`crate::score_tables`]: `scored` is `last`, with bounds over subjects, or `best`, where each metric has its own epoch.
+/// The rows of [`crate::score_tables`]: `scored` is `last`, with bounds over subjects, `seed N` for one of
+/// several seeds, or `best`, where each metric has its own epoch.
 pub fn scores_csv(outcomes: &[Outcome]) -> String {
-    const NONE: [Option<f64>; MEASURES] = [None; MEASURES];
+    type Scores = [Option<f64>; MEASURES];
+    const NONE: Scores = [None; MEASURES];
     let mut lines = Vec::new();
     for of_set in by_set(outcomes) {
         let first = of_set[0];
@@ -20,16 +23,20 @@ pub fn scores_csv(outcomes: &[Outcome]) -> String {
             let intervals = last.intervals();
             let (low, high) = (intervals.map(|i| Some(i.low)), intervals.map(|i| Some(i.high)));
             let epoch = Some(summary.last().epoch);
-            lines.push((set, method.clone(), "last", epoch, last.measures().map(Some), low, high));
+            lines.push((set, method.clone(), "last".to_owned(), epoch, last.measures().map(Some), low, high));
+            for (seed, scores) in outcome.scores_by_seed() {
+                let scored = format!("seed {seed}");
+                lines.push((set, method.clone(), scored, epoch, scores.map(Some), NONE, NONE));
+            }
             if summary.epochs.len() > 1 {
                 let best = summary.best();
                 let best = std::array::from_fn(|measure| best.get(measure).map(|best| best.value));
-                lines.push((set, method.clone(), "best", None, best, NONE, NONE));
+                lines.push((set, method.clone(), "best".to_owned(), None, best, NONE, NONE));
             }
         }
         // A baseline has no epoch.
-        let baseline = SubjectScores::new(&first.summary.baseline_folds()).measures().map(Some);
-        lines.push((&first.set, baseline_name(first), "last", None, baseline, NONE, NONE));
+        let baseline = first.chance_scores().measures().map(Some);
+        lines.push((&first.set, baseline_name(first), "last".to_owned(), None, baseline, NONE, NONE));
     }
     let keys = || MEASURE_KEYS.iter().map(|(key, _)| *key);
     let bounds = ["low", "high"].iter().flat_map(|end| keys().map(move |key| format!("{key}_{end}")));
@@ -52,12 +59,12 @@ pub fn comparisons_csv(outcomes: &[Outcome]) -> String {
 /// Each subject's scores after the last epoch.
 pub fn folds_csv(outcomes: &[Outcome]) -> String {
     let mut lines = Vec::new();
-    for Outcome { method, set, folds, summary } in outcomes {
-        for (number, fold) in summary.folds.iter().enumerate() {
-            let confusion = &fold.confusions[fold.confusions.len() - 1];
+    for outcome in outcomes {
+        let Outcome { method, set, summary, .. } = outcome;
+        for fold in &summary.folds {
             let (clips, epoch, scores) =
-                (confusion.total(), summary.last().epoch, confusion.scores().values());
-            let loss = folds.get(number).and_then(|fold| fold.training_losses.last().copied());
+                (fold.clips(), summary.last().epoch, mean_scores(fold.last()).values());
+            let loss = outcome.training_loss(fold);
             lines.push((set, method, &fold.dataset, &fold.subject, clips, epoch, scores, loss));
         }
     }
@@ -74,7 +81,7 @@ pub fn confusions_csv(outcomes: &[Outcome]) -> String {
     let mut lines = Vec::new();
     for Outcome { method, set, summary, .. } in outcomes {
         let last = summary.last();
-        for (truth, counts) in summary.classes.iter().zip(&last.pooled.0) {
+        for (truth, counts) in summary.classes.iter().zip(&last.counts().0) {
             let mut line = vec![set.clone(), method.clone(), last.epoch.to_string(), truth.clone()];
             line.extend(counts.iter().map(usize::to_string));
             lines.push(line);

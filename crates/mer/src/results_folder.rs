@@ -251,13 +251,15 @@ fn facts(results: &RunResults) -> Vec<(String, String)> {
     facts.extend(results.methods.iter().map(|method| (method.name.clone(), method.description())));
     facts.push(("Classifier".to_owned(), settings.training()));
     if settings.classifier.by_epochs {
-        let Protocol { epochs, record_every, batch, learning_rate, decay_every, decay, seed, .. } =
+        let Protocol { epochs, record_every, batch, learning_rate, decay_every, decay, seed, seeds, .. } =
             &settings.protocol;
+        let last = seed.wrapping_add(*seeds as u64 - 1);
+        let seeds = if *seeds == 1 { format!("seed {seed}") } else { format!("seeds {seed} to {last}") };
         facts.push((
             "Training".to_owned(),
             format!(
                 "{epochs} epochs, recorded every {record_every}, batch {batch}, Adam {learning_rate}, times {decay} every \
-                 {decay_every} epochs, seed {seed}"
+                 {decay_every} epochs, {seeds}"
             ),
         ));
     }

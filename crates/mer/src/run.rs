@@ -15,7 +15,7 @@ use crate::clap::ValueEnum;
 use crate::classifier::ClassifierEntry;
 use crate::extract::{Extracted, Method, Preparation, extract};
 use crate::extract_error::{ExtractError, ExtractProblem};
-use crate::loso::{FoldFolder, Loso, LosoError, LosoEvent, leave_one_subject_out};
+use crate::loso::{FoldFolder, Loso, LosoError, LosoEvent, leave_dataset_out, leave_one_subject_out};
 use crate::outcome::Outcome;
 use crate::predictions::Trial;
 use crate::protocol::{Protocol, ProtocolError};
@@ -25,6 +25,9 @@ use crate::summary::SummaryError;
 
 /// Name of the set that combines all datasets.
 const COMPOSITE: &str = "composite";
+
+/// Before the name of a dataset that is held out as a whole.
+const CROSS: &str = "cross-";
 
 /// The settings that a run's results depend on, apart from clips and flow methods.
 #[derive(Debug, Clone)]
@@ -54,6 +57,44 @@ pub enum Sets {
     /// Each by itself, then all as one where there are several.
     #[default]
     Both,
+    /// Each dataset, by what was learned from all others.
+    Cross,
+}
+
+/// A set of clips that is evaluated.
+struct ClipSet {
+    name: String,
+    /// The datasets whose clips are used.
+    members: Vec<String>,
+    /// The one of them that is held out as a whole; otherwise each subject is, one after the other.
+    held_out: Option<String>,
+}
+
+impl ClipSet {
+    /// Sums over the members.
+    fn sum(&self, data: &[DataRecord], of: fn(&DataRecord) -> usize) -> usize {
+        data.iter().filter(|data| self.members.contains(&data.dataset)).map(of).sum()
+    }
+
+    fn folds(&self, data: &[DataRecord]) -> usize {
+        if self.held_out.is_some() { 1 } else { self.sum(data, |data| data.subjects) }
+    }
+
+    /// Clips that are trained on, over all folds.
+    fn training_clips(&self, data: &[DataRecord]) -> usize {
+        let clips = self.sum(data, |data| data.clips);
+        match &self.held_out {
+            None => clips * (self.folds(data) - 1),
+            Some(held_out) => {
+                clips
+                    - data
+                        .iter()
+                        .filter(|data| data.dataset == *held_out)
+                        .map(|data| data.clips)
+                        .sum::<usize>()
+            }
+        }
+    }
 }
 
 pub struct RunMethod<'a> {
@@ -160,8 +201,10 @@ pub enum RunError {
     /// A value of the protocol is out of range.
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
-    #[error("the composite set needs several datasets, found {0}; give more, or take each by itself")]
-    Composite(usize),
+    #[error(
+        "the sets composite and cross need several datasets, found {0}; give more, or take each by itself"
+    )]
+    SeveralDatasets(usize),
     #[error("{set}: leaving one subject out needs clips of at least 2 subjects; found {found}")]
     Subjects { set: String, found: usize },
     /// The features of a clip could not be computed.
@@ -210,14 +253,14 @@ impl RunSettings {
     /// When the protocol is out of range, or a set has fewer than two subjects.
     pub fn check(&self, datasets: &[ClipDataset]) -> Result<(), RunError> {
         self.classifier.check(&self.protocol)?;
-        if datasets.len() < 2 && self.sets == Sets::Composite {
-            return Err(RunError::Composite(datasets.len()));
+        if datasets.len() < 2 && matches!(self.sets, Sets::Composite | Sets::Cross) {
+            return Err(RunError::SeveralDatasets(datasets.len()));
         }
-        for (set, members) in sets(datasets, self.sets) {
-            let of_set = datasets.iter().filter(|dataset| members.contains(&dataset.name));
+        for set in sets(datasets, self.sets) {
+            let of_set = datasets.iter().filter(|dataset| set.members.contains(&dataset.name));
             let found: usize = of_set.map(|dataset| dataset.subjects().len()).sum();
-            if found < 2 {
-                return Err(RunError::Subjects { set, found });
+            if found < 2 && set.held_out.is_none() {
+                return Err(RunError::Subjects { set: set.name, found });
             }
         }
         Ok(())
@@ -283,47 +326,46 @@ fn train_folds(
         compute_features(datasets, methods, settings.apex, preparation, Some(folders.features), watch)?;
     let FeatureSet { data, samples, .. } = &features;
 
-    let epochs = classifier.epochs(protocol) as u64;
-    let subjects = |members: &[String]| -> usize {
-        data.iter().filter(|data| members.contains(&data.dataset)).map(|data| data.subjects).sum()
-    };
-    let clips_of = |members: &[String]| -> usize {
-        data.iter().filter(|data| members.contains(&data.dataset)).map(|data| data.clips).sum()
-    };
-    let all_folds = sets.iter().map(|(_, members)| subjects(members)).sum::<usize>() * methods.len();
+    let epochs = (classifier.epochs(protocol) * protocol.seeds) as u64;
+    let all_folds = sets.iter().map(|set| set.folds(data)).sum::<usize>() * methods.len();
     let wanted = part.range(all_folds as u64);
-    // Each clip is used in training once for each other subject; of a part, about its share.
-    let in_set = |members: &[String]| (clips_of(members) * (subjects(members) - 1)) as u64 * epochs;
-    let of_all_sets = sets.iter().map(|(_, members)| in_set(members)).sum::<u64>() * methods.len() as u64;
-    on_event(RunEvent::Training { clip_epochs: of_all_sets / u64::from(part.of) });
+    // Of a part, about its share.
+    let clips = sets.iter().map(|set| set.training_clips(data)).sum::<usize>() * methods.len();
+    on_event(RunEvent::Training { clip_epochs: clips as u64 * epochs / u64::from(part.of) });
+    let of_seed = classifier.epochs(protocol) as u64;
     let on_fold = |event| match event {
         LosoEvent::Epoch { clips } => on_event(RunEvent::Trained { clip_epochs: clips as u64 }),
         LosoEvent::Fold { clips, resumed: true } => {
-            on_event(RunEvent::Resumed { clip_epochs: clips as u64 * epochs });
+            on_event(RunEvent::Resumed { clip_epochs: clips as u64 * of_seed });
         }
         LosoEvent::Fold { resumed: false, .. } => {}
     };
     let mut before = 0;
-    for (set, members) in &sets {
+    for set in &sets {
         for (method, samples) in samples {
             let first = before;
-            before += subjects(members) as u64;
+            before += set.folds(data) as u64;
             let within = |fold: u64| (fold.clamp(first, before) - first) as usize;
             let of_part = within(wanted.start)..within(wanted.end);
             if of_part.is_empty() {
                 continue;
             }
-            on_event(RunEvent::Folds { set, method });
-            let of_set = samples.iter().filter(|sample| members.contains(&sample.dataset));
+            on_event(RunEvent::Folds { set: &set.name, method });
+            let of_set = samples.iter().filter(|sample| set.members.contains(&sample.dataset));
             let of_set: Vec<Sample> = of_set.cloned().collect();
             let folder = Some(FoldFolder { path: folders.folds, part: of_part });
-            let loso =
-                leave_one_subject_out(classifier, &of_set, classes, protocol, folder, &on_fold, watch.stop);
+            let stop = watch.stop;
+            let loso = match &set.held_out {
+                None => leave_one_subject_out(classifier, &of_set, classes, protocol, folder, &on_fold, stop),
+                Some(dataset) => {
+                    leave_dataset_out(dataset, classifier, &of_set, classes, protocol, folder, &on_fold, stop)
+                }
+            };
             let loso = loso.map_err(|error| match error {
                 LosoError::Stopped => RunError::Stopped,
-                error => RunError::Training { set: set.clone(), method: method.clone(), error },
+                error => RunError::Training { set: set.name.clone(), method: method.clone(), error },
             })?;
-            on_trained(set, method, loso)?;
+            on_trained(&set.name, method, loso)?;
         }
     }
     let trained = TrainedPart { folds: wanted.end - wanted.start, all_folds: all_folds as u64 };
@@ -385,15 +427,24 @@ pub fn compute_features(
     Ok(FeatureSet { data, clips, apex_spotted, samples })
 }
 
-/// The sets by name, each with the names of its datasets.
-fn sets(datasets: &[ClipDataset], wanted: Sets) -> Vec<(String, Vec<String>)> {
+/// The sets of a run, in the order of the results.
+fn sets(datasets: &[ClipDataset], wanted: Sets) -> Vec<ClipSet> {
     let names: Vec<String> = datasets.iter().map(|dataset| dataset.name.clone()).collect();
-    let mut sets: Vec<(String, Vec<String>)> = Vec::new();
-    if wanted != Sets::Composite {
-        sets.extend(names.iter().map(|name| (name.clone(), vec![name.clone()])));
+    let mut sets: Vec<ClipSet> = Vec::new();
+    if matches!(wanted, Sets::Each | Sets::Both) {
+        let alone =
+            |name: &String| ClipSet { name: name.clone(), members: vec![name.clone()], held_out: None };
+        sets.extend(names.iter().map(alone));
     }
-    if wanted != Sets::Each && names.len() > 1 {
-        sets.push((COMPOSITE.to_owned(), names));
+    if wanted == Sets::Cross {
+        sets.extend(names.iter().map(|name| ClipSet {
+            name: format!("{CROSS}{name}"),
+            members: names.clone(),
+            held_out: Some(name.clone()),
+        }));
+    }
+    if matches!(wanted, Sets::Composite | Sets::Both) && names.len() > 1 {
+        sets.push(ClipSet { name: COMPOSITE.to_owned(), members: names, held_out: None });
     }
     sets
 }

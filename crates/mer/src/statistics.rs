@@ -6,6 +6,7 @@ use serde::Serialize;
 use srflow_core::random::Key;
 
 use crate::metrics::Confusion;
+use crate::summary::mean_scores;
 
 /// The paper's five metrics, then UF1 and UAR.
 pub const MEASURES: usize = 7;
@@ -25,23 +26,23 @@ pub struct Interval {
     pub high: f64,
 }
 
-/// The confusions of a row's subjects, after an epoch.
+/// The confusions of a row's subjects after an epoch, each by seed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SubjectScores {
-    subjects: Vec<([f64; 5], Confusion)>,
+    subjects: Vec<([f64; 5], Vec<Confusion>)>,
     classes: usize,
 }
 
 impl SubjectScores {
-    /// Of the subjects' confusions, all of the same number of classes.
-    pub fn new<'a>(confusions: impl IntoIterator<Item = &'a Confusion>) -> Self {
-        let of = |confusion: &Confusion| (confusion.scores().values(), confusion.clone());
+    /// Of the subjects' confusions by seed, all of the same number of classes.
+    pub fn new<'a>(confusions: impl IntoIterator<Item = &'a [Confusion]>) -> Self {
+        let of = |by_seed: &[Confusion]| (mean_scores(by_seed).values(), by_seed.to_vec());
         let subjects: Vec<_> = confusions.into_iter().map(of).collect();
-        let classes = subjects.first().map_or(0, |(_, confusion)| confusion.0.len());
+        let classes = subjects.first().map_or(0, |(_, by_seed)| by_seed[0].0.len());
         Self { subjects, classes }
     }
 
-    /// The scores of all subjects.
+    /// The scores of all subjects, means over seeds.
     pub fn measures(&self) -> [f64; MEASURES] {
         measures(self.classes, self.subjects.iter())
     }
@@ -87,8 +88,9 @@ impl SubjectScores {
     /// The scores of this row minus those of the other, with some subjects exchanged between them.
     fn difference(&self, other: &Self, exchanged: impl Fn(usize) -> bool) -> [f64; MEASURES] {
         let pairs = || self.subjects.iter().zip(&other.subjects).enumerate();
-        let first = pairs().map(|(subject, (a, b))| if exchanged(subject) { b } else { a });
-        let second = pairs().map(|(subject, (a, b))| if exchanged(subject) { a } else { b });
+        let exchanged = &exchanged;
+        let first = pairs().map(move |(subject, (a, b))| if exchanged(subject) { b } else { a });
+        let second = pairs().map(move |(subject, (a, b))| if exchanged(subject) { a } else { b });
         let (first, second) = (measures(self.classes, first), measures(self.classes, second));
         std::array::from_fn(|measure| first[measure] - second[measure])
     }
@@ -115,17 +117,20 @@ pub(crate) fn resampled<const N: usize>(
 
 fn measures<'a>(
     classes: usize,
-    subjects: impl Iterator<Item = &'a ([f64; 5], Confusion)>,
+    subjects: impl Iterator<Item = &'a ([f64; 5], Vec<Confusion>)> + Clone,
 ) -> [f64; MEASURES] {
+    let seeds = subjects.clone().map(|(_, by_seed)| by_seed.len()).max().unwrap_or(1);
     let (mut sums, mut count) = ([0.0; 5], 0);
-    let mut pooled = Confusion::new(classes);
-    for (scores, confusion) in subjects {
+    let mut pooled = vec![Confusion::new(classes); seeds];
+    for (scores, by_seed) in subjects {
         sums.iter_mut().zip(scores).for_each(|(sum, score)| *sum += score);
-        pooled.add(confusion);
+        // A row of one seed stands beside each seed of another.
+        pooled.iter_mut().zip(by_seed.iter().cycle()).for_each(|(pooled, confusion)| pooled.add(confusion));
         count += 1;
     }
+    let mean = |of: fn(&Confusion) -> f64| pooled.iter().map(of).sum::<f64>() / seeds as f64;
     let [p, r, f1, accuracy, g] = sums.map(|sum| sum / f64::from(count.max(1)));
-    [p, r, f1, accuracy, g, pooled.uf1(), pooled.uar()]
+    [p, r, f1, accuracy, g, mean(Confusion::uf1), mean(Confusion::uar)]
 }
 
 /// Probabilities of several tests, raised so that the chance of any false finding among them stays as it is for one (Holm, *A simple

@@ -58,7 +58,7 @@ mod _srflow {
     #[pymodule]
     mod mer {
         #[pymodule_export]
-        use crate::mer::{features, loso, metrics, strain};
+        use crate::mer::{features, loso, metrics, regions, strain};
         #[pymodule_export]
         use crate::model::{Model, load_model};
     }

@@ -7,9 +7,10 @@ use std::sync::Arc;
 use pyo3::exceptions::{PyKeyError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
+use srflow_face::AVERAGE_FACE;
 use srflow_mer::{
     CLASSIFIERS, ClassifierEntry, FeatureSettings, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError,
-    LosoEvent, Outcome, Prediction, Protocol, RecognitionProtocol, Sample, StrainFormula, Summary,
+    LosoEvent, Outcome, Prediction, Protocol, RecognitionProtocol, Regions, Sample, StrainFormula, Summary,
     features_of_frames, leave_one_subject_out, leave_one_subject_out_by, optical_strain,
 };
 
@@ -76,6 +77,30 @@ pub fn features<'py>(
     arrays::new_array(py, features.values().to_vec(), &[3, 112, 112])
 }
 
+/// Regions of interest of a face in the maps of `features`: their names and a map, int64, 112 x 112, of their numbers from 1; 0 is outside.
+///
+/// `which` is "parts" (brows, eyes, cheeks and so on) or "mdmo" (the 36 of MDMO). `landmarks` are dlib's 68 points, float64, 68 x 2, as shares of
+/// the sides of the crop that the features are of; by default those of an average face.
+#[pyfunction]
+#[pyo3(signature = (
+    which: "str" = "parts",
+    landmarks: "ArrayLike | None" = None
+) -> "tuple[list[str], NDArray[np.int64]]")]
+pub fn regions<'py>(
+    py: Python<'py>,
+    which: &str,
+    landmarks: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(Vec<&'static str>, Bound<'py, PyAny>)> {
+    let which: Regions = named("which", which)?;
+    let mut points = AVERAGE_FACE;
+    if let Some(landmarks) = landmarks {
+        let values = arrays::shaped::<f64>(landmarks, "landmarks", "points, float64 68 x 2", &[68, 2])?;
+        points.as_flattened_mut().copy_from_slice(&values);
+    }
+    let labels = which.map(&points).labels().iter().map(|label| i64::from(*label)).collect();
+    Ok((which.names(), arrays::new_array::<i64>(py, labels, &[112, 112])?))
+}
+
 /// Optical strain of a flow: how much it stretches and shears the skin.
 ///
 /// `formula` is "literature", sqrt(ux^2 + vy^2 + (uy + vx)^2 / 2) with derivatives per pixel, or "off-tanet", what the code of that network
@@ -122,6 +147,7 @@ pub fn metrics<'py>(
         subject,
         clip: index.to_string(),
         truth: truth[index],
+        seed: 0,
         epoch: 0,
         predicted: predicted[index],
         scores: Vec::new(),
@@ -133,9 +159,9 @@ pub fn metrics<'py>(
     for (name, value) in ["p_m", "r_m", "f1_m", "f1_mu", "g_m"].into_iter().zip(scores.mean.values()) {
         dict.set_item(name, value)?;
     }
-    dict.set_item("uf1", scores.pooled.uf1())?;
-    dict.set_item("uar", scores.pooled.uar())?;
-    let counts: Vec<i64> = scores.pooled.0.iter().flatten().map(|count| *count as i64).collect();
+    dict.set_item("uf1", scores.uf1())?;
+    dict.set_item("uar", scores.uar())?;
+    let counts: Vec<i64> = scores.counts().0.iter().flatten().map(|count| *count as i64).collect();
     dict.set_item("confusion", arrays::new_array(py, counts, &[classes.len(), classes.len()])?)?;
     Ok(dict)
 }
@@ -246,7 +272,9 @@ impl Clips {
         let last = outcome.summary.last().epoch;
         let places: HashMap<[&str; 3], usize> = self.labelled().iter().map(name).zip(0..).collect();
         let mut predicted = vec![0_i64; self.class.len()];
-        for prediction in loso.predictions.iter().filter(|prediction| prediction.epoch == last) {
+        let seed = outcome.summary.seeds[0];
+        let of_last = |prediction: &&Prediction| prediction.epoch == last && prediction.seed == seed;
+        for prediction in loso.predictions.iter().filter(of_last) {
             let Prediction { dataset, subject, clip, predicted: class, .. } = prediction;
             if let Some(&place) = places.get(&[dataset.as_str(), subject, clip]) {
                 predicted[place] = *class as i64;
@@ -289,6 +317,7 @@ struct Training {
     batch: Option<usize>,
     learning_rate: Option<f64>,
     seed: Option<u64>,
+    seeds: Option<usize>,
 }
 
 impl Training {
@@ -300,6 +329,7 @@ impl Training {
             batch: self.batch.unwrap_or(paper.batch),
             learning_rate: self.learning_rate.unwrap_or(paper.learning_rate),
             seed: self.seed.unwrap_or(paper.seed),
+            seeds: self.seeds.unwrap_or(paper.seeds),
             ..paper
         }
     }
@@ -313,6 +343,7 @@ impl Training {
             ("batch", self.batch.is_some()),
             ("learning_rate", self.learning_rate.is_some()),
             ("seed", self.seed.is_some()),
+            ("seeds", self.seeds.is_some()),
         ];
         given.into_iter().find_map(|(name, given)| given.then_some(name))
     }
@@ -325,14 +356,15 @@ impl Training {
 ///
 /// `classifier` is a function `(train_inputs, train_labels, test_inputs) -> predictions` that is called for each subject with rows of `X` and
 /// `y` and returns numbers of classes; `X` then holds anything, one row per clip. Or it is the name of a built-in classifier,
-/// "linear" (default), "off-tanet", "ststnet" or "off-apexnet", for `X` of float32, N x 3 x 112 x 112; `epochs`, `record_every`, `batch`,
-/// `learning_rate` and `seed` are then those of `srflow mer run` (the paper's by default, for networks alone), and finished subjects are kept in `folder`, from
+/// "linear" (default), "off-tanet", "sssnet", "ststnet" or "off-apexnet", for `X` of float32, N x 3 x 112 x 112; `epochs`, `record_every`, `batch`,
+/// `learning_rate`, `seed` and `seeds` are then those of `srflow mer run` (the paper's by default, for networks alone), and finished subjects are kept in `folder`, from
 /// which the same call continues.
 ///
 /// `callback` is called with progress, a dict with `done` and `total`; when it raises an exception, the run stops.
 ///
 /// Returns a dict: `last`, the scores after the last epoch (those of `metrics`); `best`, each of the paper's metrics at its best epoch;
-/// `epochs`; `baseline`; `folds`; `classes`, and `predictions`, int64, N, after the last epoch in the order of the clips.
+/// `epochs`; `baseline`; `folds`; `classes`, and `predictions`, int64, N, after the last epoch in the order of the clips
+/// (of the first seed).
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
 #[pyo3(signature = (
@@ -345,7 +377,8 @@ impl Training {
     record_every: "int | None" = None,
     batch: "int | None" = None,
     learning_rate: "float | None" = None,
-    seed: "int | None" = None
+    seed: "int | None" = None,
+    seeds: "int | None" = None
 ) -> "Results")]
 pub fn loso<'py>(
     py: Python<'py>,
@@ -358,8 +391,9 @@ pub fn loso<'py>(
     batch: Option<usize>,
     learning_rate: Option<f64>,
     seed: Option<u64>,
+    seeds: Option<usize>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let training = Training { folder, epochs, record_every, batch, learning_rate, seed };
+    let training = Training { folder, epochs, record_every, batch, learning_rate, seed, seeds };
     check_callback(callback)?;
     let clips = Clips::of(features)?;
     let inputs = needed(features, "X")?;
@@ -426,8 +460,8 @@ fn by_function<'py>(
         let labels = fold.training.iter().map(|&clip| clips.class[clip] as i64).collect();
         let labels = arrays::new_array::<i64>(py, labels, &[fold.training.len()])?;
         let found = function.call1((of(&fold.training)?, labels, of(&fold.tested)?))?;
-        let (subject, tested) = (&fold.subject, fold.tested.len());
-        let what = format!("predictions for subject {subject}");
+        let tested = fold.tested.len();
+        let what = format!("predictions for subject {}", fold.subject.as_deref().unwrap_or_default());
         let expected = format!("numbers of classes from 0, int64 {tested}");
         let found = arrays::indices(&found, &what, &expected, Some(tested))?;
         done += fold.training.len();
@@ -467,7 +501,7 @@ fn built_in<'py>(
     };
     let protocol = training.protocol();
     let epochs = entry.epochs(&protocol);
-    let (mut done, total) = (0_usize, clips.clip_epochs(epochs));
+    let (mut done, total) = (0_usize, clips.clip_epochs(epochs).saturating_mul(protocol.seeds));
     let on_event = |event| {
         match event {
             LosoEvent::Epoch { clips } => done += clips,

@@ -17,7 +17,8 @@ def spot(video, *, out=None, **options):
 
     Returns a dict: `events`, a list of dicts with frames, seconds, region and strength; `regions`, the names of 16 regions of the face; and
     `curves`, arrays of N frames: `frame` (int64), `seconds` (float64), `usable` (bool: a face is seen and does not move fast), `head`
-    (float64, N x 2: motion of the head) and `regions` (float64, N x 16 x 2: motion without that of the head), in pixels, right and down.
+    (float64, N x 2: motion of the head) and `regions` (float64, N x 16 x 2: motion without that of the head), in pixels, right and down; and
+    `units`, a dict of arrays by the numbers of action units (float64, N: how far the face moves as that unit does, in pixels).
     """
     with contextlib.ExitStack() as stack:
         folder = out if out is not None else stack.enter_context(tempfile.TemporaryDirectory())
@@ -44,13 +45,17 @@ def _curves(path):
     """Reads the motion of the regions: their names and arrays."""
     with open(path, newline="", encoding="utf-8") as file:
         header, *rows = csv.reader(file)
-    names = [column.removesuffix("_x") for column in header[5::2]]
-    motion = np.array([row[3:] for row in rows], np.float64).reshape(len(rows), 1 + len(names), 2)
+    units = [column for column in header if column.startswith("au")]
+    end = len(header) - len(units)
+    names = [column.removesuffix("_x") for column in header[5:end:2]]
+    motion = np.array([row[3:end] for row in rows], np.float64).reshape(len(rows), 1 + len(names), 2)
+    moved = np.array([row[end:] for row in rows], np.float64)
     curves = {
         "frame": np.array([row[0] for row in rows], np.int64),
         "seconds": np.array([row[1] for row in rows], np.float64),
         "usable": np.array([row[2] == "yes" for row in rows], bool),
         "head": motion[:, 0],
         "regions": motion[:, 1:],
+        "units": {int(unit.removeprefix("au")): moved[:, at] for at, unit in enumerate(units)},
     }
     return names, curves

@@ -1501,6 +1501,7 @@ def mer_spot(
     out: Path,
     *,
     force: bool = False,
+    shard: str = "1/1",
     fps: float | None = None,
     method: str = "farneback",
     head_motion: str = "subtract",
@@ -1546,6 +1547,7 @@ def mer_spot(
         videos: Videos, or folders of frames.
         out: Folder of the results.
         force: Start over where the folder has results of other settings.
+        shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         fps: Frames per second [default: the video's].
         method: How to estimate the flow: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; a network followed by its weights, as in raft=FILE; srflow has its own.
         head_motion: The head's motion in the flow: keep or subtract.
@@ -1841,6 +1843,7 @@ def mer_features(
     *,
     method: str | Sequence[str] | None = None,
     force: bool = False,
+    regions: str | None = None,
     cache: Path | None = None,
     annotations: str | Sequence[str] | None = None,
     apex_list: Path | None = None,
@@ -1893,6 +1896,7 @@ def mer_features(
         out: Archive to write.
         method: How to estimate the flow from onset to apex: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
         force: Overwrite an existing archive.
+        regions: Also write how regions of the face and action units move: parts (brows, eyes, cheeks and so on) or mdmo (the 36 of MDMO).
         cache: Folder that caches each clip's features, shared with `srflow mer run` [default: none].
         annotations: Annotation file outside its dataset's folder, such as samm:FILE or clips:FILE.
         apex_list: CSV list of apex frames, for clips without a usable one [default: SMIC's smic_apex.csv or data_apex.csv in its folder].
@@ -1962,6 +1966,7 @@ def mer_run(
     balance: str = "none",
     augment: str = "none",
     seed: int = 0,
+    seeds: int = 1,
     shard: str = "1/1",
     annotations: str | Sequence[str] | None = None,
     apex_list: Path | None = None,
@@ -2017,7 +2022,7 @@ def mer_run(
         out: Folder for tables.{txt,csv,tex,md}, folds.csv, confusions.csv, comparisons.csv, predictions.csv, results.json and report.html.
         method: How to estimate the flow from onset to apex: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
         classifier: Classifier of the features [default: the protocol's, linear or off-tanet].
-        sets: Train on each dataset, on all together, or both.
+        sets: Evaluate each dataset by itself, all together (composite), both, or each by what was learned from the others (cross).
         force: Overwrite these files.
         save_model: Also train a classifier on all clips, and save it in this folder for `srflow mer predict`.
         cache: Folder that caches features, for other runs too [default: features in --out].
@@ -2028,6 +2033,7 @@ def mer_run(
         balance: Classes with few clips: none (every clip counts alike), weights (a clip counts by the inverse frequency of its class) or sampling (networks draw each class equally often).
         augment: Training clips: none (as they are), mirror (also mirrored) or mirror-rotate (also mirrored and rotated by some degrees).
         seed: Seed of the initial parameters, the order of clips and dropout.
+        seeds: Train so many times, with this many seeds from --seed on; scores are means over them.
         shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         annotations: Annotation file outside its dataset's folder, such as samm:FILE or clips:FILE.
         apex_list: CSV list of apex frames, for clips without a usable one [default: SMIC's smic_apex.csv or data_apex.csv in its folder].

@@ -19,6 +19,7 @@ features = _mer.features
 load_model = _mer.load_model
 loso = _mer.loso
 metrics = _mer.metrics
+regions = _mer.regions
 strain = _mer.strain
 
-__all__ = ["Model", "features", "load_model", "loso", "metrics", "predict", "spot", "strain"]
+__all__ = ["Model", "features", "load_model", "loso", "metrics", "predict", "regions", "spot", "strain"]

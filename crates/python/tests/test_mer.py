@@ -204,6 +204,36 @@ def test_expressions_of_frames_are_spotted_with_their_curves(tmp_path):
     assert curves["regions"].shape == (12, len(found["regions"]), 2) and len(found["regions"]) == 16
     assert curves["frame"].tolist() == list(range(1, 13)) and curves["usable"].all()
     assert np.abs(curves["regions"]).max() < 0.05, "nothing moves"
+    assert list(curves["units"])[:3] == [1, 2, 4] and curves["units"][12].shape == (12,)
+
+
+def test_regions_lie_on_the_face():
+    names, where = srflow.mer.regions()
+    assert where.shape == (112, 112) and where.max() == len(names) == 16
+    assert names[where[67, 56] - 1] == "nose" and where[111, 0] == 0
+    names, where = srflow.mer.regions("mdmo", np.full((68, 2), 0.5))
+    assert len(names) == 36 and where.max() == 0, "a point has no area"
+    with pytest.raises(ValueError, match="68 x 2"):
+        srflow.mer.regions(landmarks=np.zeros((5, 2)))
+    with pytest.raises(ValueError, match="which: .*regions of a face"):
+        srflow.mer.regions("ears")
+
+
+def test_seeds_are_means_of_runs():
+    rng = np.random.default_rng(2)
+    features = {
+        "X": rng.normal(size=(8, 3, 112, 112)).astype(np.float32),
+        "y": np.arange(8) % 2,
+        "subject": [str(clip // 4) for clip in range(8)],
+    }
+    of = lambda **options: srflow.mer.loso(features, "ststnet", epochs=2, **options)
+    both = of(seeds=2)
+    alone = [of(seed=seed)["last"]["f1_mu"] for seed in (0, 1)]
+    assert both["last"]["f1_mu"] == pytest.approx(np.mean(alone))
+    assert [run["seed"] for run in both["seeds"]] == [0, 1]
+    assert len(both["predictions"]) == 8
+    with pytest.raises(ValueError, match="seeds"):
+        srflow.mer.loso(features, "linear", seeds=2)
 
 
 def test_a_model_says_what_it_knows():

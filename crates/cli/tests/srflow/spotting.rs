@@ -64,6 +64,13 @@ fn expressions_of_a_rendered_video_are_spotted() {
         "{}",
         &signals[..80]
     );
+    assert!(
+        signals
+            .lines()
+            .next()
+            .unwrap()
+            .ends_with(",chin_x,chin_y,au1,au2,au4,au5,au6,au9,au10,au12,au14,au15,au17,au20,au25,au26")
+    );
     assert_eq!(signals.lines().count(), 541);
     let page = fs::read_to_string(set.join("spotted/s01.html")).unwrap();
     let first = &events[0];
@@ -150,6 +157,37 @@ fn a_video_may_be_called_as_the_settings_and_every_nth_frame_is_read() {
     let signals = fs::read_to_string(set.join("called/spot.frames.csv")).unwrap();
     let frames: Vec<&str> = signals.lines().skip(1).map(|line| line.split(',').next().unwrap()).collect();
     assert_eq!(frames, ["1", "5", "9"]);
+}
+
+#[test]
+fn parts_of_the_videos_are_spotted_by_several_processes() {
+    let set = SET.path();
+    let videos = ["part-a", "part-b", "part-c"];
+    for video in videos {
+        fs::create_dir(set.join(video)).unwrap();
+        for frame in 1..=12 {
+            let name = format!("{frame:06}.png");
+            fs::copy(set.join("set/s01").join(&name), set.join(video).join(&name)).unwrap();
+        }
+    }
+    let spot = |more: &[&str]| {
+        srflow(set, &[&["spot"], &videos[..], &["--fps", "30", "--out", "parts"], more].concat())
+    };
+    let text = succeeds(&spot(&["--shard", "1/2"]));
+    assert!(text.contains("Part 1/2 is complete: 1 videos"), "{text}");
+    assert!(!set.join("parts/events.csv").exists());
+    let text = succeeds(&spot(&["--shard", "2/2"]));
+    assert!(text.contains("part-b:") && text.contains("part-c:") && !text.contains("part-a:"), "{text}");
+    let record = set.join("parts/part-a.events.json");
+    let before = fs::metadata(&record).unwrap().modified().unwrap();
+    succeeds(&spot(&[]));
+    assert!(fs::read_to_string(set.join("parts/events.csv")).unwrap().starts_with("video,type,onset"));
+    assert_eq!(
+        fs::metadata(&record).unwrap().modified().unwrap(),
+        before,
+        "what parts did is not done again"
+    );
+    refuses(&spot(&["--shard", "1/2", "--force"]), 2, &["--force starts over", "--shard does a part"]);
 }
 
 #[test]

@@ -53,6 +53,8 @@ pub struct Observation<'a> {
     pub subject: usize,
     /// How much it counts.
     pub weight: f64,
+    /// Whether it is a changed copy of another: it is learned from, but the strength is not chosen by it.
+    pub copy: bool,
 }
 
 /// One score per class that is linear in the inputs.
@@ -246,7 +248,7 @@ impl<'a> Problem<'a> {
 }
 
 /// For each of [`INVERSE_STRENGTHS`], the weighted mean cross-entropy of clips of held-out subjects: the subjects are assigned in turn
-/// to at most ten parts, and each part is held out once. `None` if all clips are of one subject.
+/// to at most ten parts, and each part is held out once. Copies do not count. `None` if all clips are of one subject.
 pub fn validation_losses(clips: &[Observation], classes: usize) -> Option<[f64; INVERSE_STRENGTHS.len()]> {
     let mut order: Vec<usize> = Vec::new();
     let mut seen = BTreeSet::new();
@@ -256,7 +258,7 @@ pub fn validation_losses(clips: &[Observation], classes: usize) -> Option<[f64; 
         return None;
     }
     let part_of = |subject: usize| order.iter().position(|known| *known == subject).unwrap_or(0) % parts;
-    let total: f64 = clips.iter().map(|clip| clip.weight).sum();
+    let total: f64 = clips.iter().filter(|clip| !clip.copy).map(|clip| clip.weight).sum();
     let mut losses = [0.0; INVERSE_STRENGTHS.len()];
     for part in 0..parts {
         let (left_out, kept): (Vec<Observation>, Vec<Observation>) =
@@ -264,7 +266,7 @@ pub fn validation_losses(clips: &[Observation], classes: usize) -> Option<[f64; 
         let mut model: Option<LogisticRegression> = None;
         for (loss, strength) in losses.iter_mut().zip(INVERSE_STRENGTHS) {
             let fitted = LogisticRegression::fit(&kept, classes, strength, model.as_ref());
-            for clip in &left_out {
+            for clip in left_out.iter().filter(|clip| !clip.copy) {
                 *loss += clip.weight * cross_entropy(&fitted.scores(clip.input), clip.class) / total;
             }
             model = Some(fitted);
@@ -326,16 +328,19 @@ pub(super) fn train(
         .par_iter()
         .map(|example| protocol.augment.copies(example.features).iter().map(input).collect())
         .collect();
-    let seen = examples.iter().zip(&copies).flat_map(|(example, copies)| {
-        let observation = |input| Observation {
+    let mut clips: Vec<Observation> = Vec::new();
+    for (example, copies) in examples.iter().zip(&copies) {
+        // A clip and its copies count as one clip.
+        let weight = weights[example.class] / (1 + copies.len()) as f64;
+        let seen = [&example.input].into_iter().chain(copies).enumerate();
+        clips.extend(seen.map(|(number, input)| Observation {
             input,
             class: example.class,
             subject: example.subject,
-            weight: weights[example.class],
-        };
-        [&example.input].into_iter().chain(copies).map(move |input| observation(input))
-    });
-    let clips: Vec<Observation> = seen.collect();
+            weight,
+            copy: number > 0,
+        }));
+    }
     let strength = validation_losses(&clips, classes).map_or(DEFAULT_INVERSE_STRENGTH, |losses| {
         // Of equal ones the strongest, which is first.
         let best =

@@ -3,6 +3,7 @@
 mod linear;
 mod offapexnet;
 mod offtanet;
+mod sssnet;
 mod ststnet;
 mod table;
 
@@ -15,6 +16,7 @@ pub(crate) use linear::input_len as linear_input_len;
 pub use linear::{INVERSE_STRENGTHS, LogisticRegression, Observation, validation_losses};
 pub use offapexnet::OffApexNet;
 pub use offtanet::OffTaNet;
+pub use sssnet::SssNet;
 pub use ststnet::StstNet;
 pub use table::{CLASSIFIERS, ClassifierEntry};
 

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use srflow_core::serialize_as_text;
 
-use super::{Classifier, ClassifierFacts, OffApexNet, OffTaNet, StstNet, linear};
+use super::{Classifier, ClassifierFacts, OffApexNet, OffTaNet, SssNet, StstNet, linear};
 use crate::balance::Balance;
 use crate::features::Features;
 use crate::learning::{Restore, Train};
@@ -24,9 +24,10 @@ pub struct ClassifierEntry {
 }
 
 /// The classifiers by name.
-pub static CLASSIFIERS: [ClassifierEntry; 4] = [
+pub static CLASSIFIERS: [ClassifierEntry; 5] = [
     ClassifierEntry::LINEAR,
     ClassifierEntry::OFF_TANET,
+    ClassifierEntry::of::<SssNet>(),
     ClassifierEntry::of::<StstNet>(),
     ClassifierEntry::of::<OffApexNet>(),
 ];

@@ -71,10 +71,13 @@ pub struct ModelLesson<'a> {
 }
 
 impl ModelLesson<'_> {
-    /// The predictions after the last epoch: scores and truth.
+    /// The predictions after the last epoch of the seed that the model is trained with.
     fn held_out(&self) -> impl Iterator<Item = &Prediction> + Clone {
         let last = self.trial.predictions.iter().map(|prediction| prediction.epoch).max();
-        self.trial.predictions.iter().filter(move |prediction| Some(prediction.epoch) == last)
+        let seed = self.protocol.seed;
+        let counts =
+            move |prediction: &&Prediction| Some(prediction.epoch) == last && prediction.seed == seed;
+        self.trial.predictions.iter().filter(counts)
     }
 
     /// The temperature, and how right the predictions about held-out clips are.

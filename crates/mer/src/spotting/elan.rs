@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use srflow_data::micro_expression::intervals::{ExpressionKind, Interval};
 
-/// The text of an `.eaf` file: a tier of micro- and one of macro-expressions. Frames of `intervals` count from `first_frame`. `date` is as in
+/// The text of an `.eaf` file: a tier of micro- and one of macro-expressions, and one of the action units of each. Frames of `intervals` count from `first_frame`. `date` is as in
 /// `2026-01-31T12:00:00+00:00`.
 pub fn elan(video: &str, intervals: &[Interval], first_frame: i64, fps: f64, date: &str) -> String {
     let milliseconds = |frames: i64| ((frames as f64 / fps) * 1000.0).round().max(0.0) as u64;
@@ -12,9 +12,16 @@ pub fn elan(video: &str, intervals: &[Interval], first_frame: i64, fps: f64, dat
     let mut slots = String::new();
     let mut tiers = String::new();
     let mut count = 0;
-    for (tier, kind) in [("ME", ExpressionKind::Micro), ("MaE", ExpressionKind::Macro)] {
+    let of_kind = |kind| intervals.iter().filter(move |interval| interval.kind == kind);
+    // Annotations of a tier must not overlap: units of micro- and macro-expressions have a tier each.
+    for (tier, kind, words) in [
+        ("ME", ExpressionKind::Micro, label as fn(&Interval) -> &str),
+        ("ME AU", ExpressionKind::Micro, units),
+        ("MaE", ExpressionKind::Macro, label),
+        ("MaE AU", ExpressionKind::Macro, units),
+    ] {
         let mut annotations = String::new();
-        for interval in intervals.iter().filter(|interval| interval.kind == kind) {
+        for interval in of_kind(kind) {
             let [begin, end] =
                 [interval.onset - first_frame, interval.offset + 1 - first_frame].map(milliseconds);
             count += 1;
@@ -24,7 +31,7 @@ pub fn elan(video: &str, intervals: &[Interval], first_frame: i64, fps: f64, dat
             _ = writeln!(
                 annotations,
                 r#"    <ANNOTATION><ALIGNABLE_ANNOTATION ANNOTATION_ID="a{count}" TIME_SLOT_REF1="ts{first}" TIME_SLOT_REF2="ts{second}"><ANNOTATION_VALUE>{}</ANNOTATION_VALUE></ALIGNABLE_ANNOTATION></ANNOTATION>"#,
-                escaped(&interval.label)
+                escaped(words(interval))
             );
         }
         _ = write!(
@@ -44,6 +51,14 @@ pub fn elan(video: &str, intervals: &[Interval], first_frame: i64, fps: f64, dat
 </ANNOTATION_DOCUMENT>
 "#
     )
+}
+
+fn label(interval: &Interval) -> &str {
+    &interval.label
+}
+
+fn units(interval: &Interval) -> &str {
+    &interval.action_units
 }
 
 fn escaped(text: &str) -> String {

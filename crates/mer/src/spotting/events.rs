@@ -11,8 +11,8 @@ use serde::Serialize;
 use srflow_core::{dense, median};
 use srflow_data::micro_expression::intervals::ExpressionKind;
 
-use super::regions::{LIDS, REGIONS};
-use super::signals::{RegionMotion, Signals};
+use super::regions::{LIDS, REGIONS, RegionMotion};
+use super::signals::Signals;
 
 /// What decides what is spotted. Lengths of motion are shares of the crop's side.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

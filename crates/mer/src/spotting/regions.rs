@@ -1,6 +1,7 @@
 //! The regions of a face whose motion is followed.
 
-use srflow_face::{FacePoints, FrameCrop};
+use crate::features::{Channel, FEATURE_SIDE, Features};
+use srflow_face::{AVERAGE_FACE, FacePoints, FrameCrop};
 
 /// Their names. `left` is the left of the picture.
 pub const REGIONS: [&str; 16] = [
@@ -25,41 +26,25 @@ pub const REGIONS: [&str; 16] = [
 /// Those that move in a blink.
 pub(super) const LIDS: [usize; 2] = [5, 6];
 
-/// Their middles on an average face in an upright crop ([`FrameCrop::upright`]), as shares of its side.
-const MIDDLES: [[f64; 2]; 16] = [
-    [0.397, 0.196],
-    [0.602, 0.196],
-    [0.212, 0.187],
-    [0.788, 0.187],
-    [0.5, 0.23],
-    [0.3, 0.357],
-    [0.7, 0.357],
-    [0.285, 0.591],
-    [0.715, 0.591],
-    [0.42, 0.644],
-    [0.579, 0.644],
-    [0.333, 0.805],
-    [0.666, 0.805],
-    [0.5, 0.772],
-    [0.5, 0.879],
-    [0.5, 0.957],
-];
-
-/// Half the side of a region, as a share of the distance of the outer corners of the eyes, and that distance on an average face.
+/// Half the side of a region, as a share of the distance of the outer corners of the eyes.
 const HALF: f64 = 0.1;
-const CORNERS: f64 = 0.586;
+
+/// Motion of each region, in pixels.
+pub type RegionMotion = [[f64; 2]; 16];
 
 /// Columns and rows of each region in a crop, the second of each not included.
 pub type RegionBoxes = [[[usize; 2]; 2]; 16];
 
 /// The regions in a crop of this width and height: about dlib's 68 points where there are any, else where an average face has them.
 pub fn regions(points: Option<&FacePoints>, crop: &FrameCrop, size: (usize, usize)) -> RegionBoxes {
-    let of_average =
-        || (MIDDLES.map(|[x, y]| [x * size.0 as f64, y * size.1 as f64]), CORNERS * size.0 as f64);
-    let (middles, corners) = match points.and_then(|points| points.dlib.as_deref()) {
-        Some(dlib) => about_points(&dlib.map(|point| crop.point(point))),
-        None => of_average(),
-    };
+    match points.and_then(|points| points.dlib.as_deref()) {
+        Some(dlib) => boxes(&dlib.map(|point| crop.point(point)), size),
+        None => boxes(&AVERAGE_FACE.map(|[x, y]| [x * size.0 as f64, y * size.1 as f64]), size),
+    }
+}
+
+fn boxes(points: &[[f64; 2]; 68], size: (usize, usize)) -> RegionBoxes {
+    let (middles, corners) = about_points(points);
     let half = (HALF * corners).max(0.5);
     middles.map(|middle| {
         std::array::from_fn(|axis| {
@@ -69,6 +54,33 @@ pub fn regions(points: Option<&FacePoints>, crop: &FrameCrop, size: (usize, usiz
             [first, ((middle[axis] + half).round() as usize + 1).clamp(first + 1, len.max(first + 1))]
         })
     })
+}
+
+/// Mean motion in each region; 0 where none is known.
+pub(super) fn mean_motion(
+    boxes: &RegionBoxes,
+    (width, height): (usize, usize),
+    motion: impl Fn(usize, usize) -> [f64; 2],
+) -> RegionMotion {
+    boxes.map(|[[left, right], [top, bottom]]| {
+        let (mut sum, mut count) = ([0.0; 2], 0.0);
+        for (x, y) in (top..bottom.min(height)).flat_map(|y| (left..right.min(width)).map(move |x| (x, y))) {
+            let moved = motion(x, y);
+            if moved.iter().all(|component| component.is_finite()) {
+                sum = [0, 1].map(|axis| sum[axis] + moved[axis]);
+                count += 1.0;
+            }
+        }
+        sum.map(|sum| if count > 0.0 { sum / count } else { 0.0 })
+    })
+}
+
+/// Mean flow of each region in features; dlib's points as shares of the maps' sides.
+pub fn region_motion_of_features(points: &[[f64; 2]; 68], features: &Features) -> RegionMotion {
+    let size = (FEATURE_SIDE, FEATURE_SIDE);
+    let boxes = boxes(&points.map(|point| point.map(|share| share * FEATURE_SIDE as f64 - 0.5)), size);
+    let [u, v] = [Channel::U, Channel::V].map(|channel| features.channel(channel));
+    mean_motion(&boxes, size, |x, y| [u, v].map(|map| f64::from(map[y * FEATURE_SIDE + x])))
 }
 
 /// The middles of the regions, and the distance of the outer corners of the eyes.

@@ -3,11 +3,9 @@
 use srflow_core::{EstimateError, FlowEstimator, Image, Plane, SurfaceMotion};
 use srflow_face::FaceError;
 
+use super::regions::{RegionMotion, mean_motion};
 use super::view::{FaceView, Sight};
 use crate::head_motion::{HeadMotion, face};
-
-/// Motion of the 16 regions ([`REGIONS`](super::REGIONS)), in pixels.
-pub type RegionMotion = [[f64; 2]; 16];
 
 /// Seconds until another frame becomes the one that motion is measured from, and for how long both are.
 const SEGMENT_SECONDS: f64 = 1.0;
@@ -22,6 +20,14 @@ pub struct Signals {
     pub head: Vec<[f64; 2]>,
     /// Of every frame: whether its motion can be used. Where no face is seen, the motion stays as it was.
     pub usable: Vec<bool>,
+}
+
+impl Signals {
+    /// How far the regions move from one frame to another.
+    pub fn moved(&self, from: usize, to: usize) -> RegionMotion {
+        let [from, to] = [from, to].map(|frame| &self.regions[frame]);
+        std::array::from_fn(|region| [0, 1].map(|axis| to[region][axis] - from[region][axis]))
+    }
 }
 
 /// Why motion could not be measured.
@@ -196,19 +202,10 @@ impl<'a> SignalRecorder<'a> {
             HeadMotion::Keep => None,
             HeadMotion::Subtract => SurfaceMotion::fit(&flow, self.mask.as_ref()),
         };
-        let regions = segment.view.boxes().map(|[[left, right], [top, bottom]]| {
-            let (mut sum, mut count) = ([0.0; 2], 0.0);
-            for y in top..bottom.min(flow.height()) {
-                for x in left..right.min(flow.width()) {
-                    let moved = flow.get(x, y);
-                    let of_head = motion.as_ref().map_or([0.0; 2], |motion| motion.at(x, y));
-                    if moved.iter().all(|component| component.is_finite()) {
-                        sum = [0, 1].map(|axis| sum[axis] + f64::from(moved[axis] - of_head[axis]));
-                        count += 1.0;
-                    }
-                }
-            }
-            sum.map(|sum| if count > 0.0 { sum / count } else { 0.0 })
+        let regions = mean_motion(segment.view.boxes(), flow.size(), |x, y| {
+            let of_head = motion.as_ref().map_or([0.0; 2], |motion| motion.at(x, y));
+            let moved = flow.get(x, y);
+            [0, 1].map(|axis| f64::from(moved[axis] - of_head[axis]))
         });
         let head = motion.map_or([0.0; 2], |motion| motion.translation_px());
         Ok(Position { regions, head })

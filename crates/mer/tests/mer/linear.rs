@@ -36,7 +36,9 @@ impl Clips {
 /// Clips that count alike.
 fn observations<'a>(inputs: &'a [Vec<f32>], labels: &[usize], subjects: &[usize]) -> Vec<Observation<'a>> {
     let clips = inputs.iter().zip(labels).zip(subjects);
-    clips.map(|((input, &class), &subject)| Observation { input, class, subject, weight: 1.0 }).collect()
+    clips
+        .map(|((input, &class), &subject)| Observation { input, class, subject, weight: 1.0, copy: false })
+        .collect()
 }
 
 fn golden() -> Golden {
@@ -68,6 +70,14 @@ fn losses_of_left_out_subjects_are_scikit_learns() {
     let losses = validation_losses(&clips.observations(), CLASSES).unwrap();
     let difference = largest_difference(losses.map(|loss| loss as f32), golden.values("losses"));
     assert!(difference < 1e-5, "{difference}");
+    // Copies of clips, some of them of wrong classes, are learned from: no loss is theirs.
+    let copies = clips.observations().into_iter().map(|clip| Observation { weight: 0.0, copy: true, ..clip });
+    let with_copies: Vec<Observation> = clips.observations().into_iter().chain(copies).collect();
+    let found = validation_losses(&with_copies, CLASSES).unwrap();
+    assert!(
+        found.iter().zip(losses).all(|(found, loss)| (found - loss).abs() < 1e-6),
+        "{found:?}, {losses:?}"
+    );
     let of_one = observations(&clips.inputs, &clips.labels, &[0; CLIPS]);
     assert_eq!(validation_losses(&of_one, CLASSES), None, "one subject");
 }

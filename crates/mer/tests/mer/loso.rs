@@ -8,8 +8,8 @@ use srflow_core::random::Key;
 use srflow_data::micro_expression::Classes;
 use srflow_mer::{
     Balance, ClassifierEntry, FEATURE_SIDE, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError,
-    LosoEvent, Protocol, Sample, StstNet, Summary, leave_one_subject_out, leave_one_subject_out_by,
-    read_predictions, write_predictions,
+    LosoEvent, Protocol, Sample, StstNet, Summary, leave_dataset_out, leave_one_subject_out,
+    leave_one_subject_out_by, read_predictions, write_predictions,
 };
 
 use crate::made_up::{NEGATIVE, POSITIVE, SURPRISE};
@@ -221,9 +221,69 @@ fn finished_folds_are_not_run_again() {
 }
 
 #[test]
+fn each_seed_is_a_run_of_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let samples = samples(1);
+    let several = Protocol { seeds: 2, ..protocol(2) };
+    let (both, _) = run(STSTNET, &samples, &several, Some(folder.path()), 2);
+    let of_seed =
+        |loso: &Loso, seed| loso.predictions.iter().filter(|p| p.seed == seed).cloned().collect::<Vec<_>>();
+    for seed in [5, 6] {
+        // Each finds its folds where several seeds left them.
+        let alone = Protocol { seed, ..protocol(2) };
+        let (alone, events) = run(STSTNET, &samples, &alone, Some(folder.path()), 2);
+        assert_eq!((folds(&events, true), folds(&events, false)), (3, 0));
+        assert_eq!(of_seed(&both, seed), alone.predictions);
+    }
+    assert_eq!(both.predictions.len(), of_seed(&both, 5).len() + of_seed(&both, 6).len());
+    let classes = Classes::default();
+    let linear = ClassifierEntry::LINEAR;
+    let several = Protocol { seeds: 2, ..Protocol::default() };
+    let error = leave_one_subject_out(&linear, &samples, classes.names(), &several, None, &|_| {}, &|| false);
+    assert!(error.unwrap_err().to_string().contains("has no use for `seeds`"));
+}
+
+#[test]
+fn a_dataset_is_classified_by_what_the_others_taught() {
+    let folder = tempfile::tempdir().unwrap();
+    // The other dataset shows the classes the other way round: what it teaches is wrong here.
+    let mut samples = samples(3);
+    for sample in samples.iter_mut().filter(|sample| sample.dataset == "b") {
+        sample.class = match sample.class {
+            NEGATIVE => POSITIVE,
+            POSITIVE => NEGATIVE,
+            surprise => surprise,
+        };
+    }
+    let classes = Classes::default();
+    let linear = ClassifierEntry::LINEAR;
+    let without = |dataset| {
+        let folder = Some(FoldFolder::from(folder.path()));
+        let protocol = Protocol::default();
+        leave_dataset_out(dataset, &linear, &samples, classes.names(), &protocol, folder, &|_| {}, &|| false)
+    };
+    let loso = without("a").unwrap();
+    assert_eq!((loso.folds.len(), loso.folds[0].name(), loso.folds[0].clips), (1, "a".to_owned(), 18));
+    assert!(loso.predictions.iter().all(|prediction| prediction.dataset == "a"));
+    for prediction in &loso.predictions {
+        assert_eq!(prediction.predicted == prediction.truth, prediction.truth == SURPRISE, "{prediction:?}");
+    }
+    // Scores are over the subjects of the dataset.
+    let outcome = srflow_mer::Outcome::of("made up", "cross-a", &loso).unwrap();
+    assert_eq!(outcome.summary.folds.len(), 3);
+    let losses: Vec<_> =
+        srflow_mer::fold_table(&outcome).rows.iter().map(|row| *row.values.last().unwrap()).collect();
+    assert!(losses[0].is_some() && losses.iter().all(|loss| *loss == losses[0]), "{losses:?}");
+    assert!(without("b").unwrap().predictions.len() == 19, "the fold of another dataset is another one");
+    let error = without("c").unwrap_err().to_string();
+    assert!(error.contains("no clip of c"), "{error}");
+}
+
+#[test]
 fn every_number_follows_from_the_predictions_file() {
     let folder = tempfile::tempdir().unwrap();
-    let (loso, _) = run(STSTNET, &samples(2), &protocol(3), None, 2);
+    let several = Protocol { seeds: 2, ..protocol(3) };
+    let (loso, _) = run(STSTNET, &samples(2), &several, None, 2);
     let summary = Summary::of(&loso.classes, &loso.predictions).unwrap();
     let path = folder.path().join("predictions.csv");
     let trial = srflow_mer::Trial {
@@ -276,7 +336,7 @@ fn any_number_of_classes_goes_from_training_to_tables() {
         "set,method,epoch,truth,predicted_sad,predicted_glad,predicted_awed,predicted_struck\n"
     ));
     assert_eq!(table.lines().count(), 5);
-    assert_eq!(outcome.summary.last().pooled.total(), samples.len());
+    assert_eq!(outcome.summary.clips(), samples.len());
     assert!(srflow_mer::confusion_latex(&outcome).contains("& sad & glad & awed & struck"));
 }
 
@@ -329,8 +389,7 @@ fn a_classifier_of_another_program_gets_the_same_folds() {
     };
     assert_eq!(names(&loso), names(&ours));
     let subjects = |loso: &Loso| -> Vec<(String, usize, Vec<String>)> {
-        let of =
-            |fold: &srflow_mer::FoldRecord| (fold.subject.clone(), fold.clips, fold.unseen_classes.clone());
+        let of = |fold: &srflow_mer::FoldRecord| (fold.name(), fold.clips, fold.unseen_classes.clone());
         loso.folds.iter().map(of).collect()
     };
     assert_eq!(subjects(&loso), subjects(&ours));

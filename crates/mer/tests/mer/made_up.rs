@@ -13,6 +13,7 @@ pub fn prediction(subject: &str, clip: &str, epoch: usize, said: [usize; 2]) -> 
         subject: subject.into(),
         clip: clip.into(),
         truth: said[0],
+        seed: 0,
         epoch,
         predicted: said[1],
         scores: vec![0.0; 3],

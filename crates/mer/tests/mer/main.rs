@@ -16,6 +16,7 @@ mod parity;
 mod predictions;
 mod protocol;
 mod published_scores;
+mod regions;
 mod results;
 mod run;
 mod spotting;

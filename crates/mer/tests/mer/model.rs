@@ -121,6 +121,7 @@ fn held_out_clips_are_counted_after_the_last_epoch() {
         subject: "s".to_owned(),
         clip: format!("{truth}{scores:?}"),
         truth,
+        seed: 0,
         epoch,
         predicted: Prediction::class_of(&scores),
         scores: scores.to_vec(),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use srflow_mer::{
-    CLASSIFIERS, Classifier, ClassifierFacts, OffApexNet, OffTaNet, StstNet, Training, cross_entropy,
+    CLASSIFIERS, Classifier, ClassifierFacts, OffApexNet, OffTaNet, SssNet, StstNet, Training, cross_entropy,
 };
 use srflow_nn::{
     HostGradients, Layout, Parameters, Segment, load, parameter_infos, parameters, with_batch_statistics,
@@ -109,6 +109,10 @@ fn check<C: Classifier>() {
         training.step(inputs::<C>(&device), labels(), LEARNING_RATE * 0.3_f64.powi(step), None);
     }
     for (name, data) in parameters(&training.network().valid()) {
+        // Where a map is positive everywhere, batch norm takes the bias away again: its gradient is rounding, which Adam makes whole steps.
+        if C::FACTS.name == "sssnet" && ["conv1.bias", "conv2.bias"].contains(&name.as_str()) {
+            continue;
+        }
         let unit = if name.contains("running_") { 1.0 } else { LEARNING_RATE as f32 };
         let start = parameter(&name, data.shape());
         let end: Vec<f32> = data.try_to_vec().expect("f32");
@@ -125,6 +129,11 @@ fn off_tanet() {
 #[test]
 fn ststnet() {
     check::<StstNet>();
+}
+
+#[test]
+fn sssnet() {
+    check::<SssNet>();
 }
 
 #[test]

@@ -21,6 +21,7 @@ fn trial() -> Trial {
         subject: "006".into(),
         clip: clip.into(),
         truth: 1,
+        seed: 0,
         epoch: 20,
         predicted: Prediction::class_of(&scores),
         scores: scores.to_vec(),

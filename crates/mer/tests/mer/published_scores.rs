@@ -27,6 +27,7 @@ fn predictions(path: &Path) -> Vec<Prediction> {
             subject: subject.to_owned(),
             clip: clip.to_owned(),
             truth: label,
+            seed: 0,
             epoch: 0,
             predicted: 0,
             scores: vec![1.0, 0.0, 0.0],

@@ -17,7 +17,8 @@ fn outcome(method: &str, said: usize) -> Outcome {
     }
     let fold = |subject: &str, clips| FoldRecord {
         dataset: "made-up".into(),
-        subject: subject.into(),
+        subject: Some(subject.into()),
+        seed: 0,
         clips,
         unseen_classes: Vec::new(),
         training_losses: vec![1.0, 0.5],
@@ -73,6 +74,34 @@ fn tables_hold_each_metric_at_the_last_and_at_its_best_epoch() {
     let json = serde_json::to_value(a.record()).unwrap();
     assert_eq!(json["best"][3]["metric"], "f1_mu");
     assert_eq!(json["last"]["confusion"][1], serde_json::json!([0, 2, 0]));
+}
+
+#[test]
+fn several_seeds_have_one_row_and_a_table_of_their_spread() {
+    let mut several = outcome("a", POSITIVE);
+    let of_second = several.folds.iter().cloned().map(|fold| FoldRecord { seed: 1, ..fold });
+    several.folds = several.folds.iter().cloned().chain(of_second).collect();
+    several.folds[3].training_losses[1] = 1.5;
+    let predictions = |seed: u64, said| {
+        [("1", "a", NEGATIVE), ("2", "b", POSITIVE), ("2", "c", POSITIVE)].map(|(subject, clip, truth)| {
+            srflow_mer::Prediction { seed, ..prediction(subject, clip, 0, [truth, said]) }
+        })
+    };
+    let both: Vec<_> = predictions(0, POSITIVE).into_iter().chain(predictions(1, SURPRISE)).collect();
+    several.summary = srflow_mer::Summary::of(&several.summary.classes, &both).unwrap();
+    let tables = score_tables(&[&several], &[]);
+    // 0.5 with one seed, 0 with the other.
+    assert_eq!((tables[0].rows[0].values[3], tables[0].rows.len()), (Some(0.25), 2));
+    assert!(tables[2].title.contains("standard deviation between 2 seeds"), "{}", tables[2].title);
+    assert_eq!(tables[2].rows[0].values[3], Some(0.125_f64.sqrt()));
+    let folds = fold_table(&several);
+    assert_eq!(folds.rows[1].values[..2], [Some(2.0), Some(0.5)]);
+    assert_eq!(folds.rows[1].values.last(), Some(&Some(1.0)));
+    let scores = scores_csv(std::slice::from_ref(&several));
+    assert!(scores.contains("\nmade-up,a,seed 0,0,") && scores.contains("\nmade-up,a,seed 1,0,"), "{scores}");
+    let json = serde_json::to_value(several.record()).unwrap();
+    assert_eq!((&json["seeds"][1]["seed"], &json["seeds"][1]["f1_mu"]), (&1.into(), &0.0.into()));
+    assert_eq!(json["last"]["confusion"][1], serde_json::json!([0, 2, 2]));
 }
 
 #[test]

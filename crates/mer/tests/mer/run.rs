@@ -10,8 +10,8 @@ use srflow_data::micro_expression::{Classes, ClipDataset, ClipSource};
 use srflow_eval::MethodRecord;
 use srflow_files::write_image_png;
 use srflow_mer::{
-    ApexRule, FeatureRecipe, Preparation, Protocol, RecognitionProtocol, RunError, RunEvent, RunFolders,
-    RunMethod, RunResults, RunSettings, RunWatch, Sets, compute_features, run, write_features,
+    ApexRule, FeatureRecipe, Preparation, Protocol, RecognitionProtocol, Regions, RunError, RunEvent,
+    RunFolders, RunMethod, RunResults, RunSettings, RunWatch, Sets, compute_features, run, write_features,
 };
 
 /// A flow from the brightness of the second picture.
@@ -162,6 +162,7 @@ fn features_are_written_for_numpy() {
         methods: std::slice::from_ref(&record),
         preparation: &preparation,
         apex: rule,
+        regions: Some(Regions::Mdmo),
     };
     write_features(&path, &set, &recipe).unwrap();
 
@@ -192,6 +193,15 @@ fn features_are_written_for_numpy() {
     assert!(header.contains("(6, 5)"), "{header}");
     let motion = set.samples[0].1[0].head_motion.expect("it is subtracted by default").values();
     assert!(moved.starts_with(&motion.map(|value| (value as f32).to_le_bytes()).concat()));
+    let (header, regions) = array("regions");
+    assert!(header.contains("(6, 36, 5)"), "{header}");
+    let map = Regions::Mdmo.map(&srflow_face::AVERAGE_FACE);
+    let first = map.flow(&set.samples[0].1[0].features)[0].expect("the brow is seen");
+    assert!(
+        regions.starts_with(&[first.mean[0], first.mean[1], first.strain].map(f32::to_le_bytes).concat())
+    );
+    assert!(array("region_map").0.contains("(6, 112, 112)") && array("units").0.contains("(6, 14)"));
+    assert!(text(&array("region_names").1).starts_with("123"));
     let (header, json) = array("parameters");
     assert!(header.contains("'shape': ()"), "{header}");
     let json: serde_json::Value = serde_json::from_str(&text(&json)).unwrap();

@@ -217,7 +217,7 @@ fn events_become_tiers_of_elan() {
         apex: None,
         offset,
         label: "<brow> & \"lip\"".to_owned(),
-        action_units: String::new(),
+        action_units: "1+2".to_owned(),
     };
     let events = [interval(ExpressionKind::Micro, 31, 45), interval(ExpressionKind::Macro, 1, 300)];
     let text = elan("a&b.mp4", &events, 1, 30.0, "2026-01-31T12:00:00+00:00");
@@ -226,5 +226,6 @@ fn events_become_tiers_of_elan() {
         assert!(text.contains(part), "{part}: {text}");
     }
     assert!(text.contains("&lt;brow&gt; &amp; &quot;lip&quot;") && text.contains("a&amp;b.mp4"), "{text}");
-    assert_eq!(text.matches("<TIER ").count(), 2);
+    assert_eq!(text.matches("<TIER ").count(), 4);
+    assert!(text.contains("TIER_ID=\"ME AU\"") && text.contains("<ANNOTATION_VALUE>1+2</"), "{text}");
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use srflow_data::micro_expression::ClipSource;
 use srflow_eval::MethodRecord;
 use srflow_mer::{
-    DataRecord, FEATURE_SIDE, FeatureRecipe, RunMethod, RunWatch, compute_features, write_features,
+    DataRecord, FEATURE_SIDE, FeatureRecipe, Regions, RunMethod, RunWatch, compute_features, write_features,
 };
 
 use super::progress::RunProgress;
@@ -29,6 +29,7 @@ In Python:
   f['X'], f['y']           # (N, 3, 112, 112) float32: u, v, strain; numbers of classes
   f['subject'], f['clip'], f['dataset'], f['method'], f['names'], json.loads(f['parameters'].item())
   f['onset'], f['apex'], f['offset'], f['apex_spotted'], f['action_units'], f['head_motion']
+  f['regions'], f['region_names'], f['region_map'], f['units'], f['unit_numbers']   # with --regions
 
 With several methods the clips of the first come before those of the next.
 
@@ -55,6 +56,10 @@ pub struct FeaturesJob {
     #[arg(long)]
     #[serde(default)]
     pub force: bool,
+    /// Also write how regions of the face and action units move: parts (brows, eyes, cheeks and so on) or mdmo (the 36 of MDMO)
+    #[arg(long, value_name = "WHICH")]
+    #[serde(default)]
+    pub regions: Option<Regions>,
     /// Folder that caches each clip's features, shared with `srflow mer run` [default: none]
     #[arg(long, value_name = "DIR")]
     #[serde(default)]
@@ -78,6 +83,7 @@ impl FeaturesJob {
             method: default_methods(),
             out: out.into(),
             force: false,
+            regions: None,
             cache: None,
             sources: SourceArgs::default(),
             preparation: PreparationArgs::default(),
@@ -110,8 +116,13 @@ impl Job for FeaturesJob {
         let cache = self.cache.as_deref();
         let run_watch = RunWatch { on_event: &|event| progress.show(event), stop: watch.stop };
         let set = compute_features(datasets, &methods, apex, &preparation, cache, run_watch)?;
-        let recipe =
-            FeatureRecipe { classes: classes.names(), methods: &records, preparation: &preparation, apex };
+        let recipe = FeatureRecipe {
+            classes: classes.names(),
+            methods: &records,
+            preparation: &preparation,
+            apex,
+            regions: self.regions,
+        };
         write_features(&self.out, &set, &recipe)?;
         let count = set.samples.iter().map(|(_, samples)| samples.len()).sum();
         Ok(FeaturesReport {

@@ -61,7 +61,7 @@ pub struct RunJob {
     #[arg(long, value_name = "CLASSIFIER", value_enum)]
     #[serde(default)]
     pub classifier: Option<ClassifierEntry>,
-    /// Train on each dataset, on all together, or both
+    /// Evaluate each dataset by itself, all together (composite), both, or each by what was learned from the others (cross)
     #[arg(long, value_name = "SETS", value_enum, default_value_t)]
     #[serde(default)]
     pub sets: Sets,
@@ -138,7 +138,7 @@ impl RunJob {
         if methods.len() != 1 {
             wrong_settings!("`save_model` saves one model: give one `method`, not {}", methods.len());
         }
-        if self.sets == Sets::Each && datasets > 1 {
+        if matches!(self.sets, Sets::Each | Sets::Cross) && datasets > 1 {
             wrong_settings!("`save_model` takes all datasets together: give `sets` composite or both");
         }
         ensure_free([RecognitionModel::card_path(folder)], self.force)

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
 use serde::{Deserialize, Serialize};
-use srflow_core::FlowEstimator;
+use srflow_core::{FlowEstimator, Shard};
 use srflow_data::micro_expression::{CLIP_KINDS, ClipSource};
 use srflow_files::create_folder;
 use srflow_mer::{ApexRule, LEAST_PROBABILITY, ModelFlow, RecognitionModel};
@@ -136,7 +136,7 @@ impl Job for PredictJob {
         }
         if !videos.is_empty() {
             let SpottedVideos { videos: spotted, stopped, .. } =
-                spot_videos(&self.spotting, &videos, &self.out, self.force, watch)?;
+                spot_videos(&self.spotting, &videos, &self.out, self.force, Shard::WHOLE, watch)?;
             if stopped {
                 return Ok(PredictReport::stopped(self.out.clone()));
             }

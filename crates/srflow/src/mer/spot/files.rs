@@ -4,7 +4,7 @@ use std::path::Path;
 
 use srflow_data::micro_expression::intervals::ExpressionKind;
 use srflow_files::write_atomically;
-use srflow_mer::spotting::{REGIONS, Signals};
+use srflow_mer::spotting::{ACTION_UNITS, REGIONS, Signals, unit_motion};
 
 use super::spotted::{Event, SpottedVideo};
 
@@ -32,6 +32,7 @@ pub(super) fn write_events(path: &Path, videos: &[SpottedVideo]) -> anyhow::Resu
             "height_px",
             "score",
             "with_lids",
+            "action_units",
         ])?;
         for (video, event) in events_of(videos) {
             let milliseconds = |from: f64, to: f64| format!("{:.0}", 1000.0 * (to - from));
@@ -50,6 +51,7 @@ pub(super) fn write_events(path: &Path, videos: &[SpottedVideo]) -> anyhow::Resu
                 &format!("{:.3}", event.height_px),
                 &format!("{:.2}", event.score),
                 if event.with_lids { "yes" } else { "no" },
+                &event.units(),
             ])?;
         }
         table.flush()
@@ -72,7 +74,7 @@ pub(super) fn write_megc(path: &Path, videos: &[SpottedVideo]) -> anyhow::Result
     })?)
 }
 
-/// The motion of every region in every frame, in pixels of the video.
+/// The motion of every region and action unit in every frame, in pixels of the video.
 pub(super) fn write_signals(
     path: &Path,
     signals: &Signals,
@@ -84,10 +86,12 @@ pub(super) fn write_signals(
         let mut table = csv::Writer::from_writer(writer);
         let columns = REGIONS.iter().flat_map(|region| ["x", "y"].map(|axis| format!("{region}_{axis}")));
         let first = ["frame", "timestamp", "usable", "head_x", "head_y"].map(str::to_owned);
-        table.write_record(first.into_iter().chain(columns))?;
+        let units = ACTION_UNITS.iter().map(|unit| format!("au{unit}"));
+        table.write_record(first.into_iter().chain(columns).chain(units))?;
         for (place, (regions, head)) in signals.regions.iter().zip(&signals.head).enumerate() {
-            let values =
-                head.iter().chain(regions.as_flattened()).map(|value| format!("{:.4}", value * pixel));
+            let units = unit_motion(regions);
+            let values = head.iter().chain(regions.as_flattened()).chain(&units);
+            let values = values.map(|value| format!("{:.4}", value * pixel));
             let usable = if signals.usable[place] { "yes" } else { "no" };
             let place = [frame(place).to_string(), format!("{:.4}", seconds(place)), usable.to_owned()];
             table.write_record(place.into_iter().chain(values))?;

@@ -1,10 +1,12 @@
 //! A folder of results: finished videos are kept when a run is repeated.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
 use serde_json::{Value, json};
+use srflow_core::Shard;
 use srflow_files::{FileKind, create_folder, read_text, write_file};
 
 use super::files::{write_events, write_megc};
@@ -31,7 +33,8 @@ pub struct SpottedVideos {
     pub stopped: bool,
 }
 
-/// Spots the expressions in videos, and writes the files of the results; what the folder holds of them already is kept, unless `force` begins anew.
+/// Spots the expressions in a part of the videos, and writes their files; what the folder holds of them already is kept, unless `force` begins
+/// anew. The tables of all videos are written where the part is all of them.
 ///
 /// # Errors
 /// When settings are wrong, the folder has results of others, a video cannot be read, or a file cannot be written.
@@ -40,6 +43,7 @@ pub fn spot_videos(
     videos: &[PathBuf],
     out: &Path,
     force: bool,
+    shard: Shard,
     watch: &Watch,
 ) -> anyhow::Result<SpottedVideos> {
     settings.limits()?;
@@ -62,7 +66,8 @@ pub fn spot_videos(
 
     let method = estimator.name().to_owned();
     let mut spotted = SpottedVideos { method, videos: Vec::new(), stopped: false };
-    for video in &opened {
+    let Range { start, end } = shard.range(opened.len() as u64);
+    for video in &opened[start as usize..end as usize] {
         let record = out.join(format!("{}{RECORD_ENDING}", video.name));
         let result = match record.is_file() {
             true => kept(video, &record)?,
@@ -80,8 +85,10 @@ pub fn spot_videos(
         };
         spotted.videos.push(result);
     }
-    write_events(&out.join(EVENTS_NAME), &spotted.videos)?;
-    write_megc(&out.join(MEGC_NAME), &spotted.videos)?;
+    if shard == Shard::WHOLE {
+        write_events(&out.join(EVENTS_NAME), &spotted.videos)?;
+        write_megc(&out.join(MEGC_NAME), &spotted.videos)?;
+    }
     Ok(spotted)
 }
 

@@ -11,6 +11,7 @@ use std::fmt;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
+use srflow_core::Shard;
 use srflow_data::micro_expression::intervals::ExpressionKind;
 
 pub use folder::SpottedVideos;
@@ -22,7 +23,10 @@ use folder::EVENTS_NAME;
 use video::PAGE_ENDING;
 
 use crate::clap::Args;
+use crate::error::wrong_settings;
+use crate::job_engine::TakenShard;
 use crate::output::{write_line, write_page};
+use crate::rendering::ShardArgs;
 use crate::{Job, Report, Watch, WhenStopped};
 
 /// Spot micro- and macro-expressions in long videos
@@ -34,7 +38,7 @@ Examples:
   srflow mer spot-score spotted/events.csv --truth long/events.csv
 
 The folder has events.csv (all events, with seconds, region and strength), megc.csv (the challenges' form), and for each \
-video NAME.html (the video beside the motion of the face), NAME.frames.csv (the motion of 16 regions) and NAME.eaf (for ELAN). With --face detect the crop follows the face. Running the same command again continues with the videos that are missing.")]
+video NAME.html (the video beside the motion of the face), NAME.frames.csv (the motion of 16 regions) and NAME.eaf (for ELAN). With --face detect the crop follows the face. Running the same command again continues with the videos that are missing. With --shard, several processes or machines do parts of the videos in one shared folder; run the command without it when they are done, which writes events.csv and megc.csv.")]
 pub struct SpotJob {
     /// Videos, or folders of frames
     #[arg(required = true, value_name = "VIDEO|FRAMES")]
@@ -48,6 +52,9 @@ pub struct SpotJob {
     pub force: bool,
     #[command(flatten)]
     #[serde(flatten)]
+    pub shard: ShardArgs,
+    #[command(flatten)]
+    #[serde(flatten)]
     pub spotting: SpottingArgs,
 }
 
@@ -58,9 +65,16 @@ impl Job for SpotJob {
     type Report = SpotReport;
 
     fn work(&self, watch: &Watch) -> anyhow::Result<SpotReport> {
+        let TakenShard { shard, .. } = self.shard.taken()?;
+        if self.force && shard != Shard::WHOLE {
+            wrong_settings!(
+                "`force` starts over, and `shard` does a part: delete {} first",
+                self.out.display()
+            );
+        }
         let SpottedVideos { method, videos, stopped } =
-            spot_videos(&self.spotting, &self.videos, &self.out, self.force, watch)?;
-        Ok(SpotReport { out: self.out.clone(), method, videos, stopped })
+            spot_videos(&self.spotting, &self.videos, &self.out, self.force, shard, watch)?;
+        Ok(SpotReport { out: self.out.clone(), shard, method, videos, stopped })
     }
 }
 
@@ -69,6 +83,8 @@ impl Job for SpotJob {
 pub struct SpotReport {
     #[serde(skip)]
     out: PathBuf,
+    #[serde(skip)]
+    shard: Shard,
     pub method: String,
     pub videos: Vec<SpottedVideo>,
     #[serde(skip)]
@@ -95,6 +111,14 @@ impl fmt::Display for SpotReport {
         }
         if self.stopped {
             return Ok(());
+        }
+        if self.shard != Shard::WHOLE {
+            return writeln!(
+                f,
+                "Part {} is complete: {} videos. When all parts are, the same command without --shard writes the tables.",
+                self.shard,
+                self.videos.len()
+            );
         }
         write_line(f, format_args!("Events: {}", self.out.join(EVENTS_NAME).display()))?;
         let page = self.videos.first().map_or("NAME", |video| video.video.as_str());

@@ -111,13 +111,18 @@ const DRIFT_SECONDS: f64 = 4.0;
 const DRIFT_FRAMES: usize = 16;
 
 fn mark(event: &Event) -> Mark {
-    let Event { kind, onset_seconds, apex_seconds, offset_seconds, region, with_lids, .. } = event;
+    let Event { kind, onset_seconds, apex_seconds, offset_seconds, region, with_lids, action_units, .. } =
+        event;
     let blink = if *with_lids { ", with the lids" } else { "" };
+    let units = match action_units.is_empty() {
+        true => String::new(),
+        false => format!(", perhaps AU {}", event.units()),
+    };
     Mark {
         seconds: [*onset_seconds, *apex_seconds, *offset_seconds],
         lane: REGIONS.iter().position(|name| name == region).unwrap_or_default(),
         words: format!(
-            "{onset_seconds:.2} s: {kind}, {} ms, {}{blink}",
+            "{onset_seconds:.2} s: {kind}, {} ms, {}{units}{blink}",
             (1000.0 * (offset_seconds - onset_seconds)).round(),
             region.replace('-', " ")
         ),

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use srflow_data::micro_expression::intervals::{ExpressionKind, Interval};
-use srflow_mer::spotting::SpottedEvent;
+use srflow_mer::spotting::{Signals, SpottedEvent, candidate_units};
 
 /// What was spotted in a video.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -37,12 +37,15 @@ pub struct Event {
     pub score: f64,
     /// Whether the lids move more: perhaps a blink.
     pub with_lids: bool,
+    /// The action units that the motion from onset to apex looks like.
+    pub action_units: Vec<u8>,
 }
 
 impl Event {
     /// An event among frames with these numbers and times; `pixel` is how many pixels of the video a pixel of the crop has.
     pub(super) fn new(
         event: &SpottedEvent,
+        signals: &Signals,
         frame: impl Fn(usize) -> i64,
         seconds: impl Fn(usize) -> f64,
         pixel: f64,
@@ -59,6 +62,7 @@ impl Event {
             height_px: event.height_px * pixel,
             score: event.score,
             with_lids: event.with_lids,
+            action_units: candidate_units(&signals.moved(event.onset, event.apex)),
         }
     }
 
@@ -70,7 +74,12 @@ impl Event {
             apex: Some(self.apex),
             offset: self.offset,
             label: self.region.clone(),
-            action_units: String::new(),
+            action_units: self.units(),
         }
+    }
+
+    /// As datasets write them, e.g. `1+2`.
+    pub(super) fn units(&self) -> String {
+        self.action_units.iter().map(u8::to_string).collect::<Vec<_>>().join("+")
     }
 }

@@ -89,7 +89,7 @@ impl Video {
         let frame = |place: usize| first + (place * stride) as i64;
         let seconds = |place: usize| place as f64 / fps;
         let events: Vec<Event> =
-            events.iter().map(|event| Event::new(event, frame, seconds, view.pixel())).collect();
+            events.iter().map(|event| Event::new(event, &signals, frame, seconds, view.pixel())).collect();
         let frames = signals.usable.len();
         let usable = signals.usable.iter().filter(|usable| **usable).count();
         let spotted = SpottedVideo {

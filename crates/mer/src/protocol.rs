@@ -48,6 +48,9 @@ pub struct Protocol {
     pub seeds: usize,
 }
 
+/// Nobody waits for more.
+const MOST_SEEDS: usize = 1000;
+
 /// Why a protocol cannot be followed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ProtocolError {
@@ -97,11 +100,14 @@ impl Protocol {
             ("number of epochs between recordings", self.record_every),
             ("batch size", self.batch),
             ("number of epochs between decays", self.decay_every),
-            ("number of seeds", self.seeds),
         ] {
             if value == 0 {
                 return Err(ProtocolError::Range { name, value: 0.0, expected: "at least 1" });
             }
+        }
+        if !(1..=MOST_SEEDS).contains(&self.seeds) {
+            let (name, expected) = ("number of seeds", "1 to 1000");
+            return Err(ProtocolError::Range { name, value: self.seeds as f64, expected });
         }
         let range = |name, value: f64, largest: f64, expected| {
             let fits = value > 0.0 && value <= largest;

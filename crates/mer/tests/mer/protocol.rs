@@ -23,6 +23,10 @@ fn the_last_epoch_is_always_recorded() {
 fn values_that_make_no_sense_are_named() {
     let error = Protocol { batch: 0, ..Protocol::default() }.check().unwrap_err().to_string();
     assert_eq!(error, "batch size is 0; expected at least 1");
+    for seeds in [0, 1_000_000_000] {
+        let error = Protocol { seeds, ..Protocol::default() }.check().unwrap_err().to_string();
+        assert_eq!(error, format!("number of seeds is {seeds}; expected 1 to 1000"));
+    }
     for rate in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         assert!(Protocol { learning_rate: rate, ..Protocol::default() }.check().is_err(), "{rate}");
     }

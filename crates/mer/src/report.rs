@@ -89,7 +89,7 @@ pub fn report(parts: &ReportParts) -> Result<Page, ReportError> {
     Ok(Page {
         title: "Micro-expression recognition".to_owned(),
         kicker: "srflow mer run".to_owned(),
-        lead: "Each subject's clips are classified by a model trained on all other subjects.".to_owned(),
+        lead: "Each subject's clips are classified by a model that has not seen the subject.".to_owned(),
         opening: Vec::new(),
         sections,
         colophon: format!("srflow {} on {}.", env!("CARGO_PKG_VERSION"), parts.machine),

@@ -208,7 +208,8 @@ impl FaceCrop {
         let Self::Landmarks(landmarks) = self else { return Ok(AVERAGE_FACE) };
         let face = landmarks.of_clip(dataset, annotation)?;
         let crop = FrameCrop::upright(face);
-        let FrameCrop::Upright { side, .. } = crop else { return Ok(AVERAGE_FACE) };
+        // An upright crop has a size of its own.
+        let (side, _) = crop.size_in((0, 0));
         let share = |point: [f64; 2]| crop.point(point).map(|at| (at + 0.5) / side as f64);
         Ok(face.dlib.as_deref().map_or(AVERAGE_FACE, |dlib| dlib.map(share)))
     }

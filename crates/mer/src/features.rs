@@ -90,6 +90,11 @@ impl Features {
         Plane::from_fn(FEATURE_SIDE, FEATURE_SIDE, |x, y| values[y * FEATURE_SIDE + x])
     }
 
+    /// Places in the maps, in pixels, of places that are given as shares of their sides.
+    pub(crate) fn pixels_of_shares<const N: usize>(shares: &[[f64; 2]; N]) -> [[f64; 2]; N] {
+        shares.map(|place| place.map(|share| share * FEATURE_SIDE as f64 - 0.5))
+    }
+
     /// The features of the mirrored clip: columns are reversed, `u` changes its sign, and the strain stays what it is.
     #[must_use]
     pub fn mirrored(&self) -> Self {

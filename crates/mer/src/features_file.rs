@@ -134,29 +134,17 @@ pub fn write_features(path: &Path, set: &FeatureSet, recipe: &FeatureRecipe) -> 
         ("parameters", NpzArray::Text(&[], &parameters)),
     ];
     let regions = recipe.regions.map(|regions| OfRegions::of(set, regions, face)).transpose()?;
-    let (numbers, number) = (ACTION_UNITS.map(i64::from), [ACTION_UNITS.len()]);
-    let shapes = regions.as_ref().map(|OfRegions { names, .. }| {
-        let (count, names) = (samples.len(), names.len());
-        ([names], [count, FEATURE_SIDE, FEATURE_SIDE], [count, names, 5], [count, ACTION_UNITS.len()])
-    });
-    if let Some((OfRegions { names, maps, values, units }, shapes)) = regions.as_ref().zip(shapes.as_ref()) {
-        arrays.extend([
-            ("region_names", NpzArray::Text(&shapes.0, names)),
-            ("region_map", NpzArray::Integer(&shapes.1, maps)),
-            ("regions", NpzArray::Float(&shapes.2, values)),
-            ("unit_numbers", NpzArray::Integer(&number, &numbers)),
-            ("units", NpzArray::Float(&shapes.3, units)),
-        ]);
-    }
+    arrays.extend(regions.iter().flat_map(OfRegions::arrays));
     Ok(write_npz(path, &arrays)?)
 }
 
-/// The motion of regions and action units, in the order of the samples.
+/// The motion of regions and action units, in the order of the samples: arrays and their shapes.
 struct OfRegions {
-    names: Vec<&'static str>,
-    maps: Vec<i64>,
-    values: Vec<f32>,
-    units: Vec<f32>,
+    names: ([usize; 1], Vec<&'static str>),
+    maps: ([usize; 3], Vec<i64>),
+    flow: ([usize; 3], Vec<f32>),
+    numbers: ([usize; 1], Vec<i64>),
+    units: ([usize; 2], Vec<f32>),
 }
 
 impl OfRegions {
@@ -166,20 +154,36 @@ impl OfRegions {
             Ok((regions.map(&points), points))
         };
         let faces = set.clips.iter().map(of_clip).collect::<Result<Vec<_>, FaceError>>()?;
-        let names = regions.names();
-        let mut this = Self { names, maps: Vec::new(), values: Vec::new(), units: Vec::new() };
         let unknown = RegionFlow { mean: [f32::NAN; 2], strain: f32::NAN, main: [f32::NAN; 2] };
+        let (mut maps, mut flow, mut units) = (Vec::new(), Vec::new(), Vec::new());
         for (sample, (map, points)) in set.samples.iter().flat_map(|(_, samples)| samples.iter().zip(&faces))
         {
-            this.maps.extend(map.labels().iter().map(|label| i64::from(*label)));
-            for flow in map.flow(&sample.features) {
-                let RegionFlow { mean: [u, v], strain, main } = flow.unwrap_or(unknown);
-                this.values.extend([u, v, strain, main[0], main[1]]);
+            maps.extend(map.labels().iter().map(|label| i64::from(*label)));
+            for of_region in map.flow(&sample.features) {
+                let RegionFlow { mean: [u, v], strain, main } = of_region.unwrap_or(unknown);
+                flow.extend([u, v, strain, main[0], main[1]]);
             }
             let motion = region_motion_of_features(points, &sample.features);
-            this.units.extend(unit_motion(&motion).map(|moved| moved as f32));
+            units.extend(unit_motion(&motion).map(|moved| moved as f32));
         }
-        Ok(this)
+        let (count, names) = (set.samples.len() * faces.len(), regions.names());
+        Ok(Self {
+            maps: ([count, FEATURE_SIDE, FEATURE_SIDE], maps),
+            flow: ([count, names.len(), 5], flow),
+            names: ([names.len()], names),
+            numbers: ([ACTION_UNITS.len()], ACTION_UNITS.map(i64::from).into()),
+            units: ([count, ACTION_UNITS.len()], units),
+        })
+    }
+
+    fn arrays(&self) -> [(&'static str, NpzArray<'_>); 5] {
+        [
+            ("region_names", NpzArray::Text(&self.names.0, &self.names.1)),
+            ("region_map", NpzArray::Integer(&self.maps.0, &self.maps.1)),
+            ("regions", NpzArray::Float(&self.flow.0, &self.flow.1)),
+            ("unit_numbers", NpzArray::Integer(&self.numbers.0, &self.numbers.1)),
+            ("units", NpzArray::Float(&self.units.0, &self.units.1)),
+        ]
     }
 }
 

@@ -58,8 +58,8 @@ pub use features::{Channel, FEATURE_SIDE, FeatureError, Features};
 pub use features_file::{FeatureFileError, FeatureRecipe, write_features};
 pub use head_motion::{HeadMotion, SubtractedMotion};
 pub use loso::{
-    Fold, FoldFolder, FoldRecord, LabelledClip, Loso, LosoError, LosoEvent, fold_without, folds,
-    leave_dataset_out, leave_one_subject_out, leave_one_subject_out_by,
+    Fold, FoldFolder, FoldRecord, LabelledClip, LeftOut, Loso, LosoError, LosoEvent, LosoWatch, folds,
+    leave_one_subject_out_by, leave_out,
 };
 pub use metrics::{Confusion, Scores};
 pub use model::{

@@ -58,7 +58,7 @@ pub struct FoldRecord {
 impl FoldRecord {
     /// What is held out, e.g. `samm 006`.
     pub fn name(&self) -> String {
-        name_of(&self.dataset, self.subject.as_deref())
+        joined(&self.dataset, self.subject.as_deref(), " ")
     }
 
     /// Whether clips of this subject are held out.
@@ -67,8 +67,8 @@ impl FoldRecord {
     }
 }
 
-fn name_of(dataset: &str, subject: Option<&str>) -> String {
-    [Some(dataset), subject].into_iter().flatten().collect::<Vec<_>>().join(" ")
+fn joined(dataset: &str, subject: Option<&str>, between: &str) -> String {
+    [Some(dataset), subject].into_iter().flatten().collect::<Vec<_>>().join(between)
 }
 
 /// A clip with its class. (dataset, subject, clip) identifies it.
@@ -100,19 +100,24 @@ pub struct Fold {
 }
 
 impl Fold {
-    /// What is held out, e.g. `samm 006`.
-    pub fn name(&self) -> String {
-        name_of(&self.dataset, self.subject.as_deref())
+    /// What is held out, e.g. `samm subject 006`.
+    fn name(&self) -> String {
+        joined(&self.dataset, self.subject.as_deref(), " subject ")
     }
 
     /// What identifies its random numbers: `samm/006`.
     fn key(&self) -> String {
-        [Some(self.dataset.as_str()), self.subject.as_deref()]
-            .into_iter()
-            .flatten()
-            .collect::<Vec<_>>()
-            .join("/")
+        joined(&self.dataset, self.subject.as_deref(), "/")
     }
+}
+
+/// What is held out, and classified by what the other clips teach.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LeftOut<'a> {
+    /// Each subject of every dataset, one after the other.
+    EachSubject,
+    /// A whole dataset.
+    Dataset(&'a str),
 }
 
 /// Where finished folds are stored, and which are run.
@@ -145,6 +150,14 @@ pub enum LosoEvent {
         /// Whether an earlier run computed it.
         resumed: bool,
     },
+}
+
+/// Follows a run, and can stop it. Both functions are called from any thread.
+#[derive(Clone, Copy)]
+pub struct LosoWatch<'a> {
+    pub on_event: &'a (dyn Fn(LosoEvent) + Sync),
+    /// Asked after each epoch; a fold that has run its last epoch is still stored.
+    pub stop: &'a (dyn Fn() -> bool + Sync),
 }
 
 /// Why a run failed.
@@ -207,10 +220,7 @@ pub fn folds(clips: &[LabelledClip]) -> Result<Vec<Fold>, LosoError> {
 }
 
 /// The fold that holds a dataset out.
-///
-/// # Errors
-/// When it or the others have no clip, or two clips share a name.
-pub fn fold_without(dataset: &str, clips: &[LabelledClip]) -> Result<Fold, LosoError> {
+fn fold_without(dataset: &str, clips: &[LabelledClip]) -> Result<Fold, LosoError> {
     let held_out = |&index: &usize| clips[index].dataset == dataset;
     let (tested, training): (Vec<usize>, Vec<usize>) = in_order(clips)?.into_iter().partition(held_out);
     if tested.is_empty() || training.is_empty() {
@@ -265,130 +275,79 @@ pub fn leave_one_subject_out_by<E: From<LosoError>>(
     Ok(assembled(clips, classes, &[0], &folds, finished))
 }
 
-/// For each subject, trains a classifier on the samples of all others with each seed of the protocol, and records its predictions for the
-/// subject's clips.
-/// `classes` are the classes' names; the samples' classes are indices into them.
+/// For each fold, trains a classifier on the samples that are not held out, with each seed of the protocol, and records its predictions
+/// for those that are. `classes` are the classes' names; the samples' classes are indices into them.
 ///
 /// Folds are distributed over the threads of the current pool. Each is computed by one thread with its own random numbers: the
 /// result is bit-identical for any number of threads. Finished folds are stored in `folder`, under names that depend on
-/// protocol, classifier and every sample, and are not run again; with a part of the folds, the result has those alone. `stop` is asked after each epoch, from any thread;
-/// a fold that has run its last epoch is still stored.
+/// protocol, classifier and every sample, and are not run again; with a part of the folds, the result has those alone.
 ///
 /// # Errors
-/// When there are fewer than two subjects, two clips share a name, training diverges, a fold cannot be stored, or `stop` says so.
-pub fn leave_one_subject_out(
+/// When there are fewer than two subjects, or no clip in the dataset or outside of it; two clips share a name; training diverges; a fold
+/// cannot be stored; or `watch` says so.
+pub fn leave_out(
+    left_out: LeftOut,
     classifier: &ClassifierEntry,
     samples: &[Sample],
     classes: &Arc<[String]>,
     protocol: &Protocol,
     folder: Option<FoldFolder>,
-    on_event: &(dyn Fn(LosoEvent) + Sync),
-    stop: &(dyn Fn() -> bool + Sync),
+    watch: LosoWatch,
 ) -> Result<Loso, LosoError> {
-    let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
-    train_folds(folds(&clips)?, samples, classes, folder, &Lessons { classifier, protocol, on_event, stop })
-}
-
-/// Trains a classifier on the samples of all datasets but one with each seed of the protocol, and records its predictions for the clips of that one. Everything
-/// else is as in [`leave_one_subject_out`].
-///
-/// # Errors
-/// Those of [`fold_without`]; when training diverges, the fold cannot be stored, or `stop` says so.
-#[expect(clippy::too_many_arguments, reason = "as those of `leave_one_subject_out`, and the dataset")]
-pub fn leave_dataset_out(
-    dataset: &str,
-    classifier: &ClassifierEntry,
-    samples: &[Sample],
-    classes: &Arc<[String]>,
-    protocol: &Protocol,
-    folder: Option<FoldFolder>,
-    on_event: &(dyn Fn(LosoEvent) + Sync),
-    stop: &(dyn Fn() -> bool + Sync),
-) -> Result<Loso, LosoError> {
-    let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
-    let folds = vec![fold_without(dataset, &clips)?];
-    train_folds(folds, samples, classes, folder, &Lessons { classifier, protocol, on_event, stop })
-}
-
-/// How folds are trained.
-struct Lessons<'a> {
-    classifier: &'a ClassifierEntry,
-    protocol: &'a Protocol,
-    on_event: &'a (dyn Fn(LosoEvent) + Sync),
-    stop: &'a (dyn Fn() -> bool + Sync),
-}
-
-fn train_folds(
-    mut folds: Vec<Fold>,
-    samples: &[Sample],
-    classes: &Arc<[String]>,
-    folder: Option<FoldFolder>,
-    lessons: &Lessons,
-) -> Result<Loso, LosoError> {
-    let Lessons { classifier, protocol, .. } = *lessons;
     classifier.check(protocol)?;
+    let LosoWatch { on_event, stop } = watch;
+    let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
+    let mut folds = match left_out {
+        LeftOut::EachSubject => folds(&clips)?,
+        LeftOut::Dataset(dataset) => vec![fold_without(dataset, &clips)?],
+    };
     if let Some(FoldFolder { part, .. }) = &folder {
         folds.truncate(part.end);
         folds.drain(..part.start.min(folds.len()));
     }
     let sorted = sorted(samples);
-    let store = |protocol: &Protocol| {
+    let of_seed = |protocol: Protocol| {
         let store =
-            |FoldFolder { path, .. }: &FoldFolder| Store::open(path, classifier, classes, protocol, &sorted);
-        folder.as_ref().map(store).transpose()
+            |FoldFolder { path, .. }: &FoldFolder| Store::open(path, classifier, classes, &protocol, &sorted);
+        let store = folder.as_ref().map(store).transpose()?;
+        Ok((protocol, store))
     };
-    let seeds: Vec<(Protocol, Option<Store>)> = protocol
-        .of_each_seed()
-        .map(|protocol| Ok((protocol.clone(), store(&protocol)?)))
-        .collect::<Result<_, LosoError>>()?;
+    let seeds = protocol.of_each_seed().map(of_seed).collect::<Result<Vec<_>, LosoError>>()?;
     let examples = Example::of_samples(samples, classifier.input);
-    let units: Vec<(&Fold, &(Protocol, Option<Store>))> =
-        folds.iter().flat_map(|fold| seeds.iter().map(move |seed| (fold, seed))).collect();
-    let finished = each_on_one_thread(&units, |(fold, (protocol, store))| {
-        lessons.finished(fold, protocol, store.as_ref(), &examples, classes.len())
-    })?;
-    let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
-    let units: Vec<(&Fold, u64)> =
-        units.into_iter().map(|(fold, (protocol, _))| (fold, protocol.seed)).collect();
-    Ok(assembled(&clips, classes, &classifier.recorded(protocol), &units, finished))
-}
-
-impl Lessons<'_> {
-    /// One fold, trained or as it was stored.
-    fn finished(
-        &self,
-        fold: &Fold,
-        protocol: &Protocol,
-        store: Option<&Store>,
-        examples: &[Example],
-        classes: usize,
-    ) -> Result<Finished, LosoError> {
-        let file = store.map(|store| store.file(fold));
-        let clips = fold.training.len();
-        let recorded = self.classifier.recorded(protocol);
-        let shape = [recorded.len(), fold.tested.len(), classes];
-        if let Some(finished) = file.as_deref().map(|file| read_fold(file, shape)).transpose()?.flatten() {
-            (self.on_event)(LosoEvent::Fold { clips, resumed: true });
-            return Ok(finished);
-        }
-        let of = |indices: &[usize]| -> Vec<&Example> { indices.iter().map(|&i| &examples[i]).collect() };
-        let name = fold.key();
-        let lesson = Lesson { name: &name, classes, examples: &of(&fold.training), protocol };
-        let trained = train_fold(self.classifier.train, &lesson, &of(&fold.tested), &recorded, &|| {
-            (self.on_event)(LosoEvent::Epoch { clips });
-            !(self.stop)()
-        });
-        let trained = trained.map_err(|unfinished| match unfinished {
-            Unfinished::Diverged { epoch } => LosoError::Diverged { held_out: fold.name(), epoch },
-            Unfinished::Stopped => LosoError::Stopped,
-        })?;
-        let finished = Finished { trained, resumed: false };
-        if let Some(file) = &file {
-            write_fold(file, &name, &finished.trained)?;
-        }
-        (self.on_event)(LosoEvent::Fold { clips, resumed: false });
-        Ok(finished)
-    }
+    let recorded = classifier.recorded(protocol);
+    let run =
+        |(fold, (protocol, store)): &(&Fold, &(Protocol, Option<Store>))| -> Result<Finished, LosoError> {
+            let file = store.as_ref().map(|store| store.file(fold));
+            let clips = fold.training.len();
+            let shape = [recorded.len(), fold.tested.len(), classes.len()];
+            if let Some(finished) = file.as_deref().map(|file| read_fold(file, shape)).transpose()?.flatten()
+            {
+                on_event(LosoEvent::Fold { clips, resumed: true });
+                return Ok(finished);
+            }
+            let of = |indices: &[usize]| -> Vec<&Example> { indices.iter().map(|&i| &examples[i]).collect() };
+            let name = fold.key();
+            let lesson =
+                Lesson { name: &name, classes: classes.len(), examples: &of(&fold.training), protocol };
+            let trained = train_fold(classifier.train, &lesson, &of(&fold.tested), &recorded, &|| {
+                on_event(LosoEvent::Epoch { clips });
+                !stop()
+            });
+            let trained = trained.map_err(|unfinished| match unfinished {
+                Unfinished::Diverged { epoch } => LosoError::Diverged { held_out: fold.name(), epoch },
+                Unfinished::Stopped => LosoError::Stopped,
+            })?;
+            let finished = Finished { trained, resumed: false };
+            if let Some(file) = &file {
+                write_fold(file, &name, &finished.trained)?;
+            }
+            on_event(LosoEvent::Fold { clips, resumed: false });
+            Ok(finished)
+        };
+    let units: Vec<_> = folds.iter().flat_map(|fold| seeds.iter().map(move |seed| (fold, seed))).collect();
+    let finished = each_on_one_thread(&units, run)?;
+    let units: Vec<_> = units.into_iter().map(|(fold, (protocol, _))| (fold, protocol.seed)).collect();
+    Ok(assembled(&clips, classes, &recorded, &units, finished))
 }
 
 /// The results of all folds and seeds, with predictions at these `epochs`.

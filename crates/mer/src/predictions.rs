@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::sync::Arc;
 
 use srflow_core::{excerpt, is_unprintable};
@@ -178,15 +179,9 @@ pub fn read_predictions(path: &Path) -> Result<Vec<Trial>, PredictionsError> {
             })
         };
         let (truth, predicted) = (class(truth)?, class(predicted)?);
-        let epoch = epoch.trim().parse().map_err(|_| {
-            refused(format!("epoch: expected a whole number from 0, found `{}`", excerpt(epoch)))
-        })?;
-        let seed = match seed_column.map(|at| record.get(at).unwrap_or_default()) {
-            None => 0,
-            Some(text) => text.trim().parse().map_err(|_| {
-                refused(format!("{SEED}: expected a whole number from 0, found `{}`", excerpt(text)))
-            })?,
-        };
+        let epoch = whole("epoch", epoch).map_err(refused)?;
+        let seed = seed_column.map(|at| whole(SEED, record.get(at).unwrap_or_default()));
+        let seed = seed.transpose().map_err(refused)?.unwrap_or(0);
         let score = |(at, class): &(usize, String)| {
             let text = record.get(*at).unwrap_or_default();
             text.trim()
@@ -222,4 +217,10 @@ pub fn read_predictions(path: &Path) -> Result<Vec<Trial>, PredictionsError> {
         });
     }
     if trials.is_empty() { Err(PredictionsError::Empty { path: path.to_owned() }) } else { Ok(trials) }
+}
+
+/// The number in a cell of a column.
+fn whole<T: FromStr>(column: &str, text: &str) -> Result<T, String> {
+    let parsed = text.trim().parse();
+    parsed.map_err(|_| format!("{column}: expected a whole number from 0, found `{}`", excerpt(text)))
 }

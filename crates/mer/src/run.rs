@@ -15,7 +15,7 @@ use crate::clap::ValueEnum;
 use crate::classifier::ClassifierEntry;
 use crate::extract::{Extracted, Method, Preparation, extract};
 use crate::extract_error::{ExtractError, ExtractProblem};
-use crate::loso::{FoldFolder, Loso, LosoError, LosoEvent, leave_dataset_out, leave_one_subject_out};
+use crate::loso::{FoldFolder, LeftOut, Loso, LosoError, LosoEvent, LosoWatch, leave_out};
 use crate::outcome::Outcome;
 use crate::predictions::Trial;
 use crate::protocol::{Protocol, ProtocolError};
@@ -71,30 +71,23 @@ struct ClipSet {
 }
 
 impl ClipSet {
-    /// Sums over the members.
-    fn sum(&self, data: &[DataRecord], of: fn(&DataRecord) -> usize) -> usize {
-        data.iter().filter(|data| self.members.contains(&data.dataset)).map(of).sum()
-    }
-
     fn folds(&self, data: &[DataRecord]) -> usize {
-        if self.held_out.is_some() { 1 } else { self.sum(data, |data| data.subjects) }
+        if self.held_out.is_some() { 1 } else { sum(data, &self.members, |data| data.subjects) }
     }
 
     /// Clips that are trained on, over all folds.
     fn training_clips(&self, data: &[DataRecord]) -> usize {
-        let clips = self.sum(data, |data| data.clips);
+        let clips = |datasets: &[String]| sum(data, datasets, |data| data.clips);
         match &self.held_out {
-            None => clips * (self.folds(data) - 1),
-            Some(held_out) => {
-                clips
-                    - data
-                        .iter()
-                        .filter(|data| data.dataset == *held_out)
-                        .map(|data| data.clips)
-                        .sum::<usize>()
-            }
+            None => clips(&self.members) * (self.folds(data) - 1),
+            Some(held_out) => clips(&self.members) - clips(std::slice::from_ref(held_out)),
         }
     }
+}
+
+/// Over the data of these datasets.
+fn sum(data: &[DataRecord], datasets: &[String], of: fn(&DataRecord) -> usize) -> usize {
+    data.iter().filter(|data| datasets.contains(&data.dataset)).map(of).sum()
 }
 
 pub struct RunMethod<'a> {
@@ -326,17 +319,17 @@ fn train_folds(
         compute_features(datasets, methods, settings.apex, preparation, Some(folders.features), watch)?;
     let FeatureSet { data, samples, .. } = &features;
 
-    let epochs = (classifier.epochs(protocol) * protocol.seeds) as u64;
+    let epochs = classifier.epochs(protocol) as u64;
     let all_folds = sets.iter().map(|set| set.folds(data)).sum::<usize>() * methods.len();
     let wanted = part.range(all_folds as u64);
     // Of a part, about its share.
     let clips = sets.iter().map(|set| set.training_clips(data)).sum::<usize>() * methods.len();
-    on_event(RunEvent::Training { clip_epochs: clips as u64 * epochs / u64::from(part.of) });
-    let of_seed = classifier.epochs(protocol) as u64;
+    let clip_epochs = (clips * protocol.seeds) as u64 * epochs;
+    on_event(RunEvent::Training { clip_epochs: clip_epochs / u64::from(part.of) });
     let on_fold = |event| match event {
         LosoEvent::Epoch { clips } => on_event(RunEvent::Trained { clip_epochs: clips as u64 }),
         LosoEvent::Fold { clips, resumed: true } => {
-            on_event(RunEvent::Resumed { clip_epochs: clips as u64 * of_seed });
+            on_event(RunEvent::Resumed { clip_epochs: clips as u64 * epochs });
         }
         LosoEvent::Fold { resumed: false, .. } => {}
     };
@@ -354,13 +347,9 @@ fn train_folds(
             let of_set = samples.iter().filter(|sample| set.members.contains(&sample.dataset));
             let of_set: Vec<Sample> = of_set.cloned().collect();
             let folder = Some(FoldFolder { path: folders.folds, part: of_part });
-            let stop = watch.stop;
-            let loso = match &set.held_out {
-                None => leave_one_subject_out(classifier, &of_set, classes, protocol, folder, &on_fold, stop),
-                Some(dataset) => {
-                    leave_dataset_out(dataset, classifier, &of_set, classes, protocol, folder, &on_fold, stop)
-                }
-            };
+            let left_out = set.held_out.as_deref().map_or(LeftOut::EachSubject, LeftOut::Dataset);
+            let watch = LosoWatch { on_event: &on_fold, stop: watch.stop };
+            let loso = leave_out(left_out, classifier, &of_set, classes, protocol, folder, watch);
             let loso = loso.map_err(|error| match error {
                 LosoError::Stopped => RunError::Stopped,
                 error => RunError::Training { set: set.name.clone(), method: method.clone(), error },

@@ -9,9 +9,9 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use srflow_face::AVERAGE_FACE;
 use srflow_mer::{
-    CLASSIFIERS, ClassifierEntry, FeatureSettings, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError,
-    LosoEvent, Outcome, Prediction, Protocol, RecognitionProtocol, Regions, Sample, StrainFormula, Summary,
-    features_of_frames, leave_one_subject_out, leave_one_subject_out_by, optical_strain,
+    CLASSIFIERS, ClassifierEntry, FeatureSettings, Features, Fold, FoldFolder, LabelledClip, LeftOut, Loso,
+    LosoError, LosoEvent, LosoWatch, Outcome, Prediction, Protocol, RecognitionProtocol, Regions, Sample,
+    StrainFormula, Summary, features_of_frames, leave_one_subject_out_by, leave_out, optical_strain,
 };
 
 use crate::arrays;
@@ -514,7 +514,8 @@ fn built_in<'py>(
     let found = compute_reporting(py, on_event, move |reporter| {
         let (on_event, stop) = (|event| reporter.report(event), || reporter.stops());
         let folder = folder.as_deref().map(FoldFolder::from);
-        leave_one_subject_out(entry, &samples, &classes, &protocol, folder, &on_event, &stop)
+        let watch = LosoWatch { on_event: &on_event, stop: &stop };
+        leave_out(LeftOut::EachSubject, entry, &samples, &classes, &protocol, folder, watch)
     })?;
     found.map_err(exception)
 }

@@ -6,6 +6,7 @@ from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import NotRequired
 
 class Scores(TypedDict):
     p_m: float
@@ -20,6 +21,7 @@ class Scores(TypedDict):
 class Results(TypedDict):
     last: dict[str, Any]
     best: list[dict[str, Any]]
+    seeds: NotRequired[list[dict[str, Any]]]
     epochs: list[dict[str, Any]]
     baseline: dict[str, Any]
     folds: list[dict[str, Any]]

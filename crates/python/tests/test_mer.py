@@ -118,7 +118,7 @@ def test_wrong_runs_are_errors():
     data = toy()
     with pytest.raises(ValueError, match="predictions for subject s00: expected numbers of classes from 0, int64 6, found int64 2"):
         srflow.mer.loso(data, lambda x, y, test: [0, 1])
-    with pytest.raises(ValueError, match="s00: expected the classes of 6 clips, numbers from 0 to 2; found 6 numbers"):
+    with pytest.raises(ValueError, match="subject s00: expected the classes of 6 clips, numbers from 0 to 2; found 6 numbers"):
         srflow.mer.loso(data, lambda x, y, test: [7] * 6)
     with pytest.raises(ZeroDivisionError):
         srflow.mer.loso(data, lambda x, y, test: 1 / 0)

@@ -70,7 +70,7 @@ impl Regions {
 
     /// Where the regions of a face are whose points are given as shares of the crop.
     pub fn map(self, face: &[[f64; 2]; 68]) -> RegionMap {
-        let points = face.map(|point| point.map(|share| share * FEATURE_SIDE as f64 - 0.5));
+        let points = Features::pixels_of_shares(face);
         let [left, right] = [points[36], points[45]];
         let unit = libm::hypot(right[0] - left[0], right[1] - left[1]);
         let place = |corner: &Corner| match *corner {

@@ -4,45 +4,55 @@ use std::sync::LazyLock;
 
 use super::regions::{REGIONS, RegionMotion};
 
-/// The action units whose motion is measured, by their numbers in FACS.
-pub const ACTION_UNITS: [u8; 14] = [1, 2, 4, 5, 6, 9, 10, 12, 14, 15, 17, 20, 25, 26];
-
-/// What moves in each of [`ACTION_UNITS`], and where to: a region, or both regions of this name, with x towards the middle of the face, y
-/// down. From the descriptions of FACS (Ekman, Friesen and Hager, *Facial Action Coding System*, 2002).
-const MOVES: [(&str, [f64; 2]); 14] = [
-    ("inner-brow", [0.0, -1.0]),
-    ("outer-brow", [0.0, -1.0]),
-    ("inner-brow", [DIAGONAL, DIAGONAL]),
-    ("lids", [0.0, -1.0]),
-    ("cheek", [0.0, -1.0]),
-    ("nostril", [0.0, -1.0]),
-    ("upper-lip", [0.0, -1.0]),
-    ("mouth-corner", [-DIAGONAL, -DIAGONAL]),
-    ("mouth-corner", [1.0, 0.0]),
-    ("mouth-corner", [0.0, 1.0]),
-    ("chin", [0.0, -1.0]),
-    ("mouth-corner", [-1.0, 0.0]),
-    ("lower-lip", [0.0, 1.0]),
-    ("chin", [0.0, 1.0]),
+/// The action units whose motion is measured, by their numbers in FACS. What moves, and where to: a region, or both regions of this name, with x
+/// towards the middle of the face, y down. From the descriptions of FACS (Ekman, Friesen and Hager, *Facial Action Coding System*, 2002).
+const UNITS: &[(u8, &str, [f64; 2])] = &[
+    (1, "inner-brow", [0.0, -1.0]),
+    (2, "outer-brow", [0.0, -1.0]),
+    (4, "inner-brow", [DIAGONAL, DIAGONAL]),
+    (5, "lids", [0.0, -1.0]),
+    (6, "cheek", [0.0, -1.0]),
+    (9, "nostril", [0.0, -1.0]),
+    (10, "upper-lip", [0.0, -1.0]),
+    (12, "mouth-corner", [-DIAGONAL, -DIAGONAL]),
+    (14, "mouth-corner", [1.0, 0.0]),
+    (15, "mouth-corner", [0.0, 1.0]),
+    (17, "chin", [0.0, -1.0]),
+    (20, "mouth-corner", [-1.0, 0.0]),
+    (25, "lower-lip", [0.0, 1.0]),
+    (26, "chin", [0.0, 1.0]),
 ];
+
+/// The action units whose motion is measured, by their numbers in FACS.
+pub const ACTION_UNITS: [u8; UNITS.len()] = {
+    let mut numbers = [0; UNITS.len()];
+    let mut unit = 0;
+    while unit < UNITS.len() {
+        numbers[unit] = UNITS[unit].0;
+        unit += 1;
+    }
+    numbers
+};
 
 const DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// Units that move at least this part of the largest are candidates, too.
 const CANDIDATE: f64 = 0.75;
 
-/// For each unit, regions and their directions in the picture.
-type Directions = [Vec<(usize, [f64; 2])>; ACTION_UNITS.len()];
+/// Regions and their directions in the picture.
+type Directions = Vec<(usize, [f64; 2])>;
 
-static DIRECTIONS: LazyLock<Directions> = LazyLock::new(|| {
-    MOVES.map(|(name, [x, y])| {
+/// For each unit.
+static DIRECTIONS: LazyLock<Vec<Directions>> = LazyLock::new(|| {
+    let of_unit = |&(_, name, [x, y]): &(u8, &str, [f64; 2])| {
         let direction = |region: &str| match region.strip_prefix(name)? {
             "" | "-left" => Some([x, y]),
             "-right" => Some([-x, y]),
             _ => None,
         };
         REGIONS.iter().enumerate().filter_map(|(number, region)| Some((number, direction(region)?))).collect()
-    })
+    };
+    UNITS.iter().map(of_unit).collect()
 });
 
 /// How far regions move as each of [`ACTION_UNITS`] does, in the unit of the motion: the mean over its regions of the motion in its direction. Below 0

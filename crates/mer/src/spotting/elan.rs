@@ -12,7 +12,6 @@ pub fn elan(video: &str, intervals: &[Interval], first_frame: i64, fps: f64, dat
     let mut slots = String::new();
     let mut tiers = String::new();
     let mut count = 0;
-    let of_kind = |kind| intervals.iter().filter(move |interval| interval.kind == kind);
     // Annotations of a tier must not overlap: units of micro- and macro-expressions have a tier each.
     for (tier, kind, words) in [
         ("ME", ExpressionKind::Micro, label as fn(&Interval) -> &str),
@@ -21,7 +20,7 @@ pub fn elan(video: &str, intervals: &[Interval], first_frame: i64, fps: f64, dat
         ("MaE AU", ExpressionKind::Macro, units),
     ] {
         let mut annotations = String::new();
-        for interval in of_kind(kind) {
+        for interval in intervals.iter().filter(|interval| interval.kind == kind) {
             let [begin, end] =
                 [interval.onset - first_frame, interval.offset + 1 - first_frame].map(milliseconds);
             count += 1;

@@ -78,7 +78,7 @@ pub(super) fn mean_motion(
 /// Mean flow of each region in features; dlib's points as shares of the maps' sides.
 pub fn region_motion_of_features(points: &[[f64; 2]; 68], features: &Features) -> RegionMotion {
     let size = (FEATURE_SIDE, FEATURE_SIDE);
-    let boxes = boxes(&points.map(|point| point.map(|share| share * FEATURE_SIDE as f64 - 0.5)), size);
+    let boxes = boxes(&Features::pixels_of_shares(points), size);
     let [u, v] = [Channel::U, Channel::V].map(|channel| features.channel(channel));
     mean_motion(&boxes, size, |x, y| [u, v].map(|map| f64::from(map[y * FEATURE_SIDE + x])))
 }

@@ -7,12 +7,14 @@ use srflow_core::Plane;
 use srflow_core::random::Key;
 use srflow_data::micro_expression::Classes;
 use srflow_mer::{
-    Balance, ClassifierEntry, FEATURE_SIDE, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError,
-    LosoEvent, Protocol, Sample, StstNet, Summary, leave_dataset_out, leave_one_subject_out,
-    leave_one_subject_out_by, read_predictions, write_predictions,
+    Balance, ClassifierEntry, FEATURE_SIDE, Features, Fold, FoldFolder, LabelledClip, LeftOut, Loso,
+    LosoError, LosoEvent, LosoWatch, Protocol, Sample, StstNet, Summary, leave_one_subject_out_by, leave_out,
+    read_predictions, write_predictions,
 };
 
 use crate::made_up::{NEGATIVE, POSITIVE, SURPRISE};
+
+const UNWATCHED: LosoWatch = LosoWatch { on_event: &|_| {}, stop: &|| false };
 
 const STSTNET: ClassifierEntry = ClassifierEntry::of::<StstNet>();
 
@@ -76,7 +78,15 @@ fn run(
         .install(|| {
             let classes = Classes::default();
             let folder = folder.map(FoldFolder::from);
-            leave_one_subject_out(&classifier, samples, classes.names(), protocol, folder, &log, &|| false)
+            leave_out(
+                LeftOut::EachSubject,
+                &classifier,
+                samples,
+                classes.names(),
+                protocol,
+                folder,
+                LosoWatch { on_event: &log, stop: &|| false },
+            )
         })
         .unwrap();
     (loso, events.into_inner().unwrap())
@@ -117,11 +127,11 @@ fn the_linear_classifier_learns_at_once_and_refuses_epochs() {
     let protocol = Protocol { epochs: 21, ..Protocol::default() };
     let classes = Classes::default();
     let error =
-        leave_one_subject_out(&linear, &samples, classes.names(), &protocol, None, &|_| {}, &|| false);
+        leave_out(LeftOut::EachSubject, &linear, &samples, classes.names(), &protocol, None, UNWATCHED);
     let error = error.unwrap_err().to_string();
     assert!(error.contains("linear classifier is trained at once and has no use for `epochs`"), "{error}");
     let drawn = Protocol { balance: Balance::Sampling, ..Protocol::default() };
-    let error = leave_one_subject_out(&linear, &samples, classes.names(), &drawn, None, &|_| {}, &|| false);
+    let error = leave_out(LeftOut::EachSubject, &linear, &samples, classes.names(), &drawn, None, UNWATCHED);
     assert!(error.unwrap_err().to_string().contains("set `balance` to weights"));
     let weights = Protocol { balance: Balance::Weights, ..Protocol::default() };
     let (_, events) = run(linear, &samples, &weights, Some(folder.path()), 1);
@@ -239,7 +249,8 @@ fn each_seed_is_a_run_of_its_own() {
     let classes = Classes::default();
     let linear = ClassifierEntry::LINEAR;
     let several = Protocol { seeds: 2, ..Protocol::default() };
-    let error = leave_one_subject_out(&linear, &samples, classes.names(), &several, None, &|_| {}, &|| false);
+    let error =
+        leave_out(LeftOut::EachSubject, &linear, &samples, classes.names(), &several, None, UNWATCHED);
     assert!(error.unwrap_err().to_string().contains("has no use for `seeds`"));
 }
 
@@ -260,7 +271,7 @@ fn a_dataset_is_classified_by_what_the_others_taught() {
     let without = |dataset| {
         let folder = Some(FoldFolder::from(folder.path()));
         let protocol = Protocol::default();
-        leave_dataset_out(dataset, &linear, &samples, classes.names(), &protocol, folder, &|_| {}, &|| false)
+        leave_out(LeftOut::Dataset(dataset), &linear, &samples, classes.names(), &protocol, folder, UNWATCHED)
     };
     let loso = without("a").unwrap();
     assert_eq!((loso.folds.len(), loso.folds[0].name(), loso.folds[0].clips), (1, "a".to_owned(), 18));
@@ -317,7 +328,7 @@ fn any_number_of_classes_goes_from_training_to_tables() {
         sample.class += usize::from(sample.clip == "clip 5");
     }
     let classes: std::sync::Arc<[String]> = ["sad", "glad", "awed", "struck"].map(str::to_owned).into();
-    let loso = leave_one_subject_out(&STSTNET, &samples, &classes, &protocol(2), None, &|_| {}, &|| false);
+    let loso = leave_out(LeftOut::EachSubject, &STSTNET, &samples, &classes, &protocol(2), None, UNWATCHED);
     let loso = loso.unwrap();
     assert!(loso.predictions.iter().all(|prediction| prediction.scores.len() == 4));
     let trial = srflow_mer::Trial {
@@ -353,14 +364,14 @@ fn a_run_that_is_stopped_keeps_its_finished_folds() {
     };
     let stop = || finished.load(std::sync::atomic::Ordering::Relaxed) >= 2;
     let kept = Some(folder.path());
-    let stopped = leave_one_subject_out(
+    let stopped = leave_out(
+        LeftOut::EachSubject,
         &STSTNET,
         &samples,
         classes.names(),
         &protocol(2),
         kept.map(FoldFolder::from),
-        &on_event,
-        &stop,
+        LosoWatch { on_event: &on_event, stop: &stop },
     );
     assert!(matches!(stopped, Err(LosoError::Stopped)));
     let (resumed, events) = run(STSTNET, &samples, &protocol(2), kept, 2);
@@ -407,7 +418,7 @@ fn a_classifier_of_another_program_gets_the_same_folds() {
 fn impossible_runs_are_explained() {
     let error = |samples: &[Sample], protocol: &Protocol| {
         let classes = Classes::default();
-        leave_one_subject_out(&STSTNET, samples, classes.names(), protocol, None, &|_| {}, &|| false)
+        leave_out(LeftOut::EachSubject, &STSTNET, samples, classes.names(), protocol, None, UNWATCHED)
             .unwrap_err()
             .to_string()
     };

@@ -145,6 +145,16 @@ def l1_and_mixture(flow, inputs, log_weights, log_scales):
     return distance + 0.2 * mixture(flow.detach(), inputs, log_weights, log_scales)
 
 
+def strain(flow, inputs):
+    """Of differences to the right and lower neighbour, where both are counted."""
+    error, counts = torch.where(counted(inputs), flow - inputs["truth"], 0), counted(inputs)
+    total = 0
+    for axis in (2, 3):
+        both = counts.narrow(axis, 1, counts.shape[axis] - 1) & counts.narrow(axis, 0, counts.shape[axis] - 1)
+        total = total + (both * error.diff(dim=axis).abs()).sum()
+    return total / counts.numel()
+
+
 def cyclic(flow, inputs):
     """SSA's: frame 1 at p - flow(p), clamped to the frame, against frame 2."""
     y, x = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
@@ -185,6 +195,7 @@ def main():
         case(f"tvr {border}", lambda flow: tvr(flow, inputs, border))
         case(f"migar {border}", lambda flow: migar(flow, inputs, border, image_max=255.0 if border == "replicate" else 1.0))
         case(f"igvar {border}", lambda flow: igvar(flow, inputs, border))
+    case("strain", lambda flow: strain(flow, inputs))
     case("cyclic", lambda flow: cyclic(flow, inputs))
     case("fdr", lambda flow: fdr(flow, inputs, None))
     case("migar unit", lambda flow: migar(flow, inputs, "replicate", image_max=1.0))

@@ -118,7 +118,7 @@ impl<E: FlowEstimator + ?Sized> PairByPair<'_, E> {
     fn next(&mut self, [first, second]: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
         let estimate = match &self.flow {
             Some(before) => self.estimator.estimate_from(first, second, &forward_interpolate(before))?,
-            None => self.estimator.estimate(first, second)?.into(),
+            None => self.estimator.estimate_pairs(&[[first, second]])?.remove(0),
         };
         if self.warm_start {
             self.flow = Some(estimate.flow.clone());

@@ -134,7 +134,7 @@ pub struct Estimate {
 pub enum EvaluateError {
     /// The split has frames but no ground truth.
     #[error(
-        "{dataset}: none of its {pairs} pairs has a true flow to score against; choose a split whose truth is published, e.g. --split train"
+        "{dataset}: none of its {pairs} pairs has a true flow to score against; choose a split whose truth is published, such as train"
     )]
     NoTruth {
         /// The dataset and its split.
@@ -144,7 +144,7 @@ pub enum EvaluateError {
     },
     /// Regions are to be scored, and pairs have no region maps.
     #[error(
-        "{dataset}: {lacking} of {pairs} pairs have no region map, which --regions needs; `srflow render --regions` makes datasets with them"
+        "{dataset}: {lacking} of {pairs} pairs have no region map; `srflow render --regions` makes datasets with them"
     )]
     NoRegions {
         /// The dataset and its split.

@@ -224,9 +224,24 @@ impl Evaluation {
             title: format!("{}, {}{crop}, {}{limit}", self.title(), self.pairs_in_words(), region.words()),
             columns: score_columns().into_iter().chain(columns).collect(),
             rows: self.methods.iter().map(row).collect(),
-            notes: self.left_out.clone(),
+            notes: self.notes(),
             ..Table::default()
         })
+    }
+
+    /// What a reader of any table must know: the rows that are not there, and the methods that found nothing.
+    fn notes(&self) -> Vec<String> {
+        let baseline = self.methods.iter().find(|method| method.baseline);
+        let useless = |method: &&MethodScores| {
+            !method.baseline && baseline.is_some_and(|baseline| method.is_worse_on_every_pair(baseline))
+        };
+        let note = |method: &MethodScores| {
+            format!(
+                "{}: worse than zero flow on every pair. Check that its weights, iterations and scale suit these frames.",
+                method.name
+            )
+        };
+        self.left_out.iter().cloned().chain(self.methods.iter().filter(useless).map(note)).collect()
     }
 
     /// Whether iterations were asked for and a method has some.
@@ -275,7 +290,7 @@ impl Evaluation {
                 title: format!("{}, {}{crop}, {what}", self.title(), self.pairs_in_words()),
                 columns: regions.iter().map(column).collect(),
                 rows: self.methods.iter().map(row).collect(),
-                notes: self.left_out.clone(),
+                notes: self.notes(),
                 ..Table::default()
             }
         };
@@ -312,7 +327,7 @@ impl Evaluation {
                 Column::plain("strength", "strength", 4),
             ],
             rows: self.methods.iter().map(row).collect(),
-            notes: self.left_out.clone(),
+            notes: self.notes(),
             ..Table::default()
         })
     }
@@ -345,7 +360,7 @@ impl Evaluation {
                 Column::plain("ratio", "ratio", 3),
             ],
             rows: self.methods.iter().map(row).collect(),
-            notes: self.left_out.clone(),
+            notes: self.notes(),
             ..Table::default()
         })
     }
@@ -419,6 +434,16 @@ impl Evaluation {
 }
 
 impl MethodScores {
+    /// Whether its error is above that of `other` on each of the pairs that both have, of which there is at least one.
+    fn is_worse_on_every_pair(&self, other: &Self) -> bool {
+        let of = |scores: &PairScores| scores.whole.map(|metrics| metrics.epe);
+        let other: BTreeMap<&str, f64> =
+            other.pairs.iter().filter_map(|scores| Some((scores.pair.as_str(), of(scores)?))).collect();
+        let mut both =
+            self.pairs.iter().filter_map(|own| Some((of(own)?, *other.get(own.pair.as_str())?))).peekable();
+        both.peek().is_some() && both.all(|(own, other)| own > other)
+    }
+
     /// The mean over pairs in one region.
     pub fn region(&self, region: Region) -> Option<&Metrics> {
         match region {

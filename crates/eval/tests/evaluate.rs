@@ -99,6 +99,22 @@ fn the_baseline_comes_first_and_has_the_length_of_the_flow() {
 }
 
 #[test]
+fn a_method_worse_than_zero_flow_on_every_pair_has_a_note() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(dir.path(), 2);
+    for (error, expected) in [(20.0, 1), (1.0, 0)] {
+        let wrong = Knowing { left: [error, 0.0], right: [error, 0.0] };
+        let tables = run(&dataset, &wrong, Settings::default()).unwrap().tables();
+        let notes = &tables[0].notes;
+        assert_eq!(notes.len(), expected, "{notes:?}");
+        assert!(
+            notes.iter().all(|note| note.starts_with("knowing: worse than zero flow on every pair")),
+            "{notes:?}"
+        );
+    }
+}
+
+#[test]
 fn regions_count_their_own_pixels() {
     let dir = tempfile::tempdir().unwrap();
     let wrong_on_the_left = Knowing { left: [0.0, 3.0], right: [0.0, 0.0] };

@@ -179,6 +179,7 @@ def flow(
     face_box: str | None = None,
     landmarks: Path | None = None,
     refine: bool = False,
+    start: str | None = None,
     weights: str | None = None,
     iters: str | None = None,
     set: dict[str, Any] | None = None,
@@ -230,6 +231,7 @@ def flow(
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        start: Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
@@ -520,7 +522,7 @@ def train(
     """Train an optical flow network.
 
     Args:
-        config: Preset (skflow, rpknet, memflow, dpflow, srflownet-tvr, srflownet-fdr, srflownet-migar, srflownet-igvar, sea-raft, ssa, srflow, cpu-small, cpu-srflownet) or TOML file [default: skflow].
+        config: Preset (skflow, rpknet, memflow, dpflow, srflownet-tvr, srflownet-fdr, srflownet-migar, srflownet-igvar, sea-raft, ssa, srflow, finetune, cpu-small, cpu-srflownet) or TOML file [default: skflow].
         out: Folder of the run.
         resume: Continue the run in this folder from its last checkpoint.
         print_config: Print the configuration with every key instead of training, as TOML or JSON.
@@ -697,6 +699,7 @@ def eval(
     weights_dir: Path = ".",
     skip_missing: bool = False,
     refine: bool = False,
+    start: str | None = None,
     weights: str | None = None,
     iters: str | None = None,
     set: dict[str, Any] | None = None,
@@ -731,7 +734,7 @@ def eval(
         dataset: Kind of dataset and its folder, e.g. sintel-clean:/data/Sintel.
         out: Also write scores.{txt,csv,json,tex,md}, pairs.csv and report.html into this folder.
         split: Split: train, val, test or all [default: the one that results are usually reported on].
-        method: Methods to score: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE [default: srflow].
+        method: Methods to score: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE; METHOD:iters=N sets the refinement iterations of one network [default: srflow].
         crop: Crop that is estimated and scored, centred on the head (without a mask, on the frame).
         limit: Score only N pairs, spread evenly over the dataset.
         batch: Pairs to estimate at once with a network, if they are consecutive and of one size; scores do not change, and each pair's time is an equal share of the batch's.
@@ -754,6 +757,7 @@ def eval(
         weights_dir: Folder with the weights of --rows.
         skip_missing: Leave out rows whose weights or networks are missing; the table lists them.
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        start: Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
@@ -817,6 +821,7 @@ def figure(
     dpi: int = 600,
     force: bool = False,
     refine: bool = False,
+    start: str | None = None,
     weights: str | None = None,
     iters: str | None = None,
     set: dict[str, Any] | None = None,
@@ -856,7 +861,7 @@ def figure(
         frames: Two frames instead of a dataset.
         truth: True flow between --frames, in any format of `srflow convert`.
         flow: Flow files between --frames, with the names of their methods.
-        method: Methods to show: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
+        method: Methods to show: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE; METHOD:iters=N sets the refinement iterations of one network.
         columns: Columns: see below [default: truth+frame1 flow+error; without truth: frame1 frame2 flow].
         crop: Show only this part of the frames: around the head (without a mask, in the middle), or from column X and row Y. Flow is estimated on whole frames; scores and scales are of the part.
         flow_scale: Flow length of full colour, in pixels: a number, `auto` (one scale for the figure) or `pair` (one for each pair).
@@ -874,6 +879,7 @@ def figure(
         dpi: Maximum resolution of pictures, in pixels per inch; finer pictures are averaged down.
         force: Overwrite these files.
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        start: Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
@@ -921,6 +927,7 @@ def view(
     force: bool = False,
     method: str | Sequence[str] | None = None,
     refine: bool = False,
+    start: str | None = None,
     weights: str | None = None,
     iters: str | None = None,
     set: dict[str, Any] | None = None,
@@ -960,8 +967,9 @@ def view(
         motion: Motion of a head: `own`, `curves`, or a file, as for `srflow rasterize` [default: own if it has one, else curves].
         seed: Seed of the person and of the random motion, for built-in heads.
         force: Overwrite the page.
-        method: Methods whose flow is shown beside a dataset's: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
+        method: Methods whose flow is shown beside a dataset's: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE; METHOD:iters=N sets the refinement iterations of one network.
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        start: Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
@@ -1411,6 +1419,7 @@ def mer_apex(
     face_box: str | None = None,
     landmarks: Path | None = None,
     refine: bool = False,
+    start: str | None = None,
     weights: str | None = None,
     iters: str | None = None,
     set: dict[str, Any] | None = None,
@@ -1461,6 +1470,7 @@ def mer_apex(
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        start: Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
@@ -1513,6 +1523,7 @@ def mer_spot(
     face_box: str | None = None,
     landmarks: Path | None = None,
     refine: bool = False,
+    start: str | None = None,
     weights: str | None = None,
     iters: str | None = None,
     set: dict[str, Any] | None = None,
@@ -1559,6 +1570,7 @@ def mer_spot(
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        start: Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
@@ -1615,6 +1627,7 @@ def mer_predict(
     face_box: str | None = None,
     landmarks: Path | None = None,
     refine: bool = False,
+    start: str | None = None,
     weights: str | None = None,
     iters: str | None = None,
     set: dict[str, Any] | None = None,
@@ -1670,6 +1683,7 @@ def mer_predict(
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        start: Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
@@ -1755,6 +1769,7 @@ def mer_strain(
     face_box: str | None = None,
     landmarks: Path | None = None,
     refine: bool = False,
+    start: str | None = None,
     weights: str | None = None,
     iters: str | None = None,
     set: dict[str, Any] | None = None,
@@ -1804,6 +1819,7 @@ def mer_strain(
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        start: Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
@@ -1861,6 +1877,7 @@ def mer_features(
     face_box: str | None = None,
     landmarks: Path | None = None,
     refine: bool = False,
+    start: str | None = None,
     weights: str | None = None,
     iters: str | None = None,
     set: dict[str, Any] | None = None,
@@ -1894,7 +1911,7 @@ def mer_features(
     Args:
         data: Datasets.
         out: Archive to write.
-        method: How to estimate the flow from onset to apex: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
+        method: How to estimate the flow from onset to apex: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE; METHOD:iters=N sets the refinement iterations of one network.
         force: Overwrite an existing archive.
         regions: Also write how regions of the face and action units move: parts (brows, eyes, cheeks and so on) or mdmo (the 36 of MDMO).
         cache: Folder that caches each clip's features, shared with `srflow mer run` [default: none].
@@ -1914,6 +1931,7 @@ def mer_features(
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        start: Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.
@@ -1987,6 +2005,7 @@ def mer_run(
     weights_dir: Path = ".",
     skip_missing: bool = False,
     refine: bool = False,
+    start: str | None = None,
     weights: str | None = None,
     iters: str | None = None,
     set: dict[str, Any] | None = None,
@@ -2020,7 +2039,7 @@ def mer_run(
     Args:
         data: Datasets.
         out: Folder for tables.{txt,csv,tex,md}, folds.csv, confusions.csv, comparisons.csv, predictions.csv, results.json and report.html.
-        method: How to estimate the flow from onset to apex: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE.
+        method: How to estimate the flow from onset to apex: farneback, tvl1, srflow, raft, raft-small, gma, skflow, rpknet, dpflow, ccmr, ccmr-p, sea-raft-s, sea-raft-m, sea-raft-l, memflow, flownets, flownetc, flownetcss, flownet3-css, unimatch, unimatch-sc2, unimatch-sc2-ref6, ssa; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE; METHOD:iters=N sets the refinement iterations of one network.
         classifier: Classifier of the features [default: the protocol's, linear or off-tanet].
         sets: Evaluate each dataset by itself, all together (composite), both, or each by what was learned from the others (cross).
         force: Overwrite these files.
@@ -2054,6 +2073,7 @@ def mer_run(
         weights_dir: Folder with the weights of --rows.
         skip_missing: Leave out rows whose weights or networks are missing; the table lists them.
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
+        start: Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start.
         weights: Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things; `srflow models` lists them.
         iters: Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than 0.07 px, auto:PX less than PX [default: the network's own, see `srflow models`].
         set: Network setting that the weights do not store; `srflow models` lists them.

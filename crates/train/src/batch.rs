@@ -1,6 +1,7 @@
 //! Batches of samples as tensors for networks and losses.
 
 use burn::tensor::{Device, Tensor, TensorData};
+use srflow_core::random::Key;
 use srflow_nets::Frames;
 
 use crate::loss::LossInputs;
@@ -11,6 +12,8 @@ use crate::training_set::TrainingSample;
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Batch {
     pub names: Vec<String>,
+    /// Of the random choices for each sample.
+    pub keys: Vec<Key>,
     /// Height and width of all samples.
     pub size: [usize; 2],
     /// First frames, RGB in 0..1: `[samples, 3, height, width]`.
@@ -32,12 +35,13 @@ impl Batch {
     /// When the samples differ in size or one has no flow; a training set does not make such samples.
     pub fn new<'a>(samples: impl IntoIterator<Item = &'a TrainingSample>) -> Self {
         let mut batch = Self::default();
-        for TrainingSample { name, sample } in samples {
+        for TrainingSample { name, key, sample } in samples {
             let (width, height) = sample.frame1.size();
             assert!(batch.names.is_empty() || batch.size == [height, width], "samples of one size");
             let flow = sample.flow.as_ref().expect("a sample with a flow");
             batch.size = [height, width];
             batch.names.push(name.clone());
+            batch.keys.push(*key);
             for (planes, frame) in [(&mut batch.first, &sample.frame1), (&mut batch.second, &sample.frame2)] {
                 for channel in 0..3 {
                     planes.extend(frame.pixels().iter().map(|pixel| f32::from(pixel[channel]) / 255.0));
@@ -81,6 +85,7 @@ impl Batch {
         };
         Self {
             names: self.names[range.clone()].to_vec(),
+            keys: self.keys[range.clone()].to_vec(),
             size: self.size,
             first: planes(&self.first, 3),
             second: planes(&self.second, 3),
@@ -100,10 +105,15 @@ impl Batch {
         Frames { first: self.tensor(&self.first, 3, device), second: self.tensor(&self.second, 3, device) }
     }
 
+    /// The true flow, 0 where it is unknown.
+    pub(crate) fn truth(&self, device: &Device) -> Tensor<4> {
+        self.tensor(&self.flow, 2, device)
+    }
+
     /// The targets of the loss.
     pub fn loss_inputs(&self, device: &Device) -> LossInputs {
         LossInputs {
-            truth: self.tensor(&self.flow, 2, device),
+            truth: self.truth(device),
             valid: self.tensor(&self.valid, 1, device),
             first_frame: self.tensor(&self.first, 3, device),
             second_frame: self.tensor(&self.second, 3, device),

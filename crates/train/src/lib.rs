@@ -19,6 +19,7 @@ pub mod replica;
 mod report;
 mod run;
 pub mod schedule;
+mod starts;
 mod tensorboard;
 pub mod training_log;
 pub mod training_set;

@@ -5,6 +5,7 @@ use srflow_nn::{HostGradients, numbers};
 use srflow_ops::Precision;
 
 use crate::loss::{LossConfig, Losses};
+use crate::starts::Starts;
 
 /// Settings of a forward and backward pass over a batch.
 #[derive(Debug, Clone, PartialEq)]
@@ -12,6 +13,8 @@ pub struct PassSettings {
     pub loss: LossConfig,
     /// Refinement iterations of the network.
     pub iterations: usize,
+    /// What the network starts from.
+    pub starts: Starts,
     /// Parts that the share of a device is split into, to save memory.
     pub accumulate: usize,
     /// Keep only the hidden states, and recompute the rest in the backward pass.

@@ -168,7 +168,9 @@ impl Replica {
         let mut mean = BatchLosses::default();
         let mut memory = None;
         for pair in pairs {
-            let request = Request { every_iteration: true, memory, ..Request::new(settings.iterations) };
+            let start = settings.starts.draw(&self.network, pair, &self.device);
+            let request =
+                Request { every_iteration: true, memory, start, ..Request::new(settings.iterations) };
             let mut estimate = self.network.forward(pair.frames(&self.device), &request);
             memory = estimate.memory.take();
             let last = numbers(estimate.last().clone().inner());

@@ -3,7 +3,7 @@
 use srflow_report::html::{Axis, Chart, Curve, Figure, Page, Section, curves, settings_facts, tiles};
 
 use crate::config::Config;
-use crate::loss::{REGULARIZERS, cyclic};
+use crate::loss::{REGULARIZERS, cyclic, strain};
 use crate::training_log::{Record, StepRecord, ValidationRecord};
 
 /// The report of a run from the records of its log. `machine` describes the hardware.
@@ -129,13 +129,12 @@ fn loss_caption(config: &Config) -> String {
         let (name, weight) = (regularizer.name, config.loss.weight(regularizer));
         caption.push_str(&format!(". {name}, times {weight}: {}", regularizer.description));
     }
-    if config.loss.cyclic != 0.0 {
-        caption.push_str(&format!(
-            ". {}, times {}: {}",
-            cyclic::NAME,
-            config.loss.cyclic,
-            cyclic::DESCRIPTION
-        ));
+    let others = [
+        (strain::NAME, config.loss.strain, strain::DESCRIPTION),
+        (cyclic::NAME, config.loss.cyclic, cyclic::DESCRIPTION),
+    ];
+    for (name, weight, description) in others.into_iter().filter(|(_, weight, _)| *weight != 0.0) {
+        caption.push_str(&format!(". {name}, times {weight}: {description}"));
     }
     caption + "."
 }

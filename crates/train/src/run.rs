@@ -224,6 +224,13 @@ impl Training<'_> {
         let mut prefetcher = prefetcher(&set, config, share.clone(), trainer.progress.step);
         let mut step_seconds = 0.0;
         let training = Instant::now();
+        // What the weights were before is the score to beat, and the best so far.
+        if trainer.progress.step == 0
+            && !config.network.weights.as_os_str().is_empty()
+            && !validation.is_empty()
+        {
+            trainer.validate(&validation, &checkpoints, &mut |scores| record(scores, on_event))?;
+        }
         let mut last = trainer.progress.step >= trainer.steps || any(ranks, stop(trainer.progress.step))?;
         while !last {
             let (began, waited_before) = (Instant::now(), prefetcher.waited());
@@ -345,6 +352,7 @@ impl Trainer {
         let settings = PassSettings {
             loss: config.loss.clone(),
             iterations: training.iterations,
+            starts: training.starts,
             accumulate: training.accumulate,
             recompute: training.recompute,
             precision: training.precision,

@@ -51,6 +51,8 @@ enum Data {
 pub struct TrainingSample {
     /// File of the first frame, or the number of a made pair, which identifies it.
     pub name: String,
+    /// Of the random choices for the sample: its scene is the step, its frame the place in the batch.
+    pub key: Key,
     pub sample: Sample,
 }
 
@@ -148,7 +150,7 @@ impl TrainingSet {
             return Err(DataError::TooSmall { pair: name, frame, crop: self.crop });
         }
         match part.augmentation.apply(sample, key) {
-            Ok(sample) => Ok(TrainingSample { name, sample }),
+            Ok(sample) => Ok(TrainingSample { name, key, sample }),
             Err(source) => Err(DataError::Augment { pair: name, source }),
         }
     }

@@ -74,6 +74,9 @@ impl Outputs {
                     kind.name()
                 );
             }
+            if job.parameters.has_start() {
+                wrong_settings!("`{}` does not go together with `start`: leave one of them out", kind.name());
+            }
             let is_npy = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy"));
             if is_file && (!is_npy || path.is_dir()) {
                 wrong_settings!(

@@ -3,30 +3,40 @@
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
-use super::{Method, MethodSpec};
+use super::{ITERATIONS, Method, MethodSpec};
 
 /// The methods' labels, or their names if they have none. If a network occurs with several weights, their file names are
-/// appended, with as many folders as needed to distinguish them.
+/// appended, with as many folders as needed to distinguish them; if it occurs with several numbers of iterations, those are.
 pub fn labels(specs: &[&MethodSpec]) -> Vec<String> {
     let mut weights_of: HashMap<Method, Vec<&str>> = HashMap::new();
-    let mut unnamed: HashMap<Method, usize> = HashMap::new();
+    let mut same: HashMap<(Method, Option<&str>), usize> = HashMap::new();
     for spec in specs.iter().filter(|spec| spec.label.is_none()) {
-        *unnamed.entry(spec.method).or_default() += 1;
-        weights_of.entry(spec.method).or_default().extend(spec.weights.as_deref());
+        let weights = spec.weights.as_deref();
+        let seen = same.entry((spec.method, weights)).or_default();
+        *seen += 1;
+        if *seen == 1 {
+            weights_of.entry(spec.method).or_default().extend(weights);
+        }
     }
+    let several = |method| same.keys().filter(|(of, _)| *of == method).count() > 1;
+    let with_iterations = |spec: &MethodSpec, name: String| match spec.iterations {
+        Some(iterations)
+            if same.get(&(spec.method, spec.weights.as_deref())).is_some_and(|same| *same > 1) =>
+        {
+            format!("{name}{ITERATIONS}{iterations}")
+        }
+        _ => name,
+    };
     let label = |spec: &&MethodSpec| match (&spec.label, &spec.weights) {
         (Some(label), _) => label.clone(),
         (None, Some(dir)) if spec.method == Method::Files => {
             distinguishing_suffix(dir, &weights_of[&Method::Files], true)
         }
-        (None, Some(weights)) if unnamed[&spec.method] > 1 => {
-            format!(
-                "{} ({})",
-                spec.method.name(),
-                distinguishing_suffix(weights, &weights_of[&spec.method], false)
-            )
+        (None, Some(weights)) if several(spec.method) => {
+            let suffix = distinguishing_suffix(weights, &weights_of[&spec.method], false);
+            with_iterations(spec, format!("{} ({suffix})", spec.method.name()))
         }
-        _ => spec.method.name().to_owned(),
+        _ => with_iterations(spec, spec.method.name().to_owned()),
     };
     specs.iter().map(label).collect()
 }
@@ -69,6 +79,9 @@ mod tests {
         assert_eq!(found, ["skflow (a/best)", "skflow (b/best)", "skflow (things)"]);
         let found = names(&["SRFlowNet:skflow=a/best.safetensors", "skflow=b/best.safetensors", "TV:tvl1"]);
         assert_eq!(found, ["SRFlowNet", "skflow", "TV"]);
+        let found =
+            names(&["raft=a.pth", "raft=a.pth:iters=4", "srflow:iters=2", "srflow:iters=8", "gma=b:iters=3"]);
+        assert_eq!(found, ["raft", "raft:iters=4", "srflow:iters=2", "srflow:iters=8", "gma"]);
         assert_eq!(names(&["files:out/v1.2/", "tvl1", "files:b/ours"]), ["v1.2", "tvl1", "ours"]);
         assert_eq!(names(&["files:a/out", "files:b/out"]), ["a/out", "b/out"]);
         let found = names(&["raft=best.ckpt", "raft=best.pth"]);

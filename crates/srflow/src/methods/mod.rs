@@ -15,7 +15,7 @@ use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
 use srflow_core::{FlowEstimator, FlowField, Image};
 use srflow_data::flow::FlowDataset;
 use srflow_eval::{FlowFiles, Zero};
-use srflow_nets::{Architecture, Iterations, Wrapped};
+use srflow_nets::{Architecture, Iterations, Start, Started, Wrapped};
 
 use crate::Watch;
 use crate::error::wrong_settings;
@@ -75,7 +75,8 @@ impl Method {
     pub fn help_of_several(what: &str) -> String {
         format!(
             "{what}: {}; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of \
-            another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE",
+            another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE; METHOD:iters=N sets the \
+            refinement iterations of one network",
             Self::names()
         )
     }
@@ -90,7 +91,11 @@ impl Method {
     }
 }
 
-/// A method as `--method` names it: `tvl1`, `skflow`, `skflow=WEIGHTS`, `files:DIR`, `LABEL:skflow=WEIGHTS`.
+/// Before the iterations of a method.
+const ITERATIONS: &str = ":iters=";
+
+/// A method as `--method` names it: `tvl1`, `skflow`, `skflow=WEIGHTS`, `files:DIR`, `LABEL:skflow=WEIGHTS`,
+/// `skflow=WEIGHTS:iters=12`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MethodSpec {
     /// Name in tables.
@@ -126,6 +131,10 @@ impl fmt::Display for MethodSpec {
             (Method::Files, dir) => write!(f, "files:{}", dir.as_deref().unwrap_or_default()),
             (method, None) => f.write_str(method.name()),
             (method, Some(weights)) => write!(f, "{}={weights}", method.name()),
+        }?;
+        match self.iterations {
+            Some(iterations) => write!(f, "{ITERATIONS}{iterations}"),
+            None => Ok(()),
         }
     }
 }
@@ -139,9 +148,15 @@ impl FromStr for MethodSpec {
         if label_and_files(text).is_some() {
             return Err("files:DIR scores flow files of a dataset: only `srflow eval` takes it".to_owned());
         }
-        let (name, weights) = match text.split_once('=') {
-            Some((name, weights)) => (name, Some(weights)),
+        let (named, iterations) = match text.rsplit_once(ITERATIONS) {
+            Some((named, iterations)) => {
+                (named, Some(iterations.parse::<Iterations>().map_err(|e| e.to_string())?))
+            }
             None => (text, None),
+        };
+        let (name, weights) = match named.split_once('=') {
+            Some((name, weights)) => (name, Some(weights)),
+            None => (named, None),
         };
         let (label, name) = match name.rsplit_once(':') {
             Some((label, name)) => (Some(label), name),
@@ -153,6 +168,10 @@ impl FromStr for MethodSpec {
         if label.is_some_and(|label| label.trim().is_empty()) {
             return Err(format!("`{text}` begins with an empty name; expected NAME:{name}"));
         }
+        let refines = method.network().is_some_and(|architecture| architecture.facts().refines());
+        if iterations.is_some() && !refines {
+            return Err(format!("{name} has no iterations: leave out `{ITERATIONS}...`"));
+        }
         match (method, weights) {
             (_, Some("")) => Err(format!("`{text}` names no weights; expected {name}=FILE")),
             (Method::Farneback | Method::TvL1, Some(_)) => {
@@ -161,6 +180,7 @@ impl FromStr for MethodSpec {
             _ => Ok(Self {
                 label: label.map(str::to_owned),
                 weights: weights.map(str::to_owned),
+                iterations,
                 ..method.into()
             }),
         }
@@ -212,6 +232,9 @@ pub struct MethodParameters {
     /// --warps are set; the other parameters of tvl1 apply too
     #[arg(long)]
     refine: bool,
+    /// Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start
+    #[arg(long, value_name = "METHOD")]
+    start: Option<MethodSpec>,
     #[command(flatten)]
     #[serde(flatten)]
     pub network: NetworkArgs,
@@ -391,6 +414,11 @@ fn named<'a>(
              `method` NETWORK=WEIGHTS for each"
         );
     }
+    if let Some(start) = &parameters.start
+        && !networks.iter().any(|network| starts(*network))
+    {
+        wrong_settings!("`start` {start}: none of the methods can start from a flow; leave it out");
+    }
     parameters.large_frames.check()?;
     let specs = distinct(specs);
     let labels = labels(&specs);
@@ -429,7 +457,15 @@ fn built(
         Method::Network(architecture) => {
             let network = parameters.network.of(spec.iterations, &spec.settings);
             let scale = large_frames.scale.unwrap_or(1.0);
-            Box::new(network.estimator(architecture, spec.weights.as_deref(), label.clone(), scale, watch)?)
+            let network =
+                network.estimator(architecture, spec.weights.as_deref(), label.clone(), scale, watch)?;
+            match parameters.start_of(architecture) {
+                None => Box::new(network),
+                Some((start, parameters)) => {
+                    let start = built(start, start.method.name().to_owned(), &parameters, watch)?;
+                    Box::new(Started::new(network, start))
+                }
+            }
         }
         Method::Files => wrong_settings!("files:DIR estimates nothing"),
     };
@@ -437,6 +473,11 @@ fn built(
     let refinement = parameters.refinement().map(TvL1::new).transpose()?;
     let wrapped = Wrapped::new(estimator).labelled(label).tiled(tiling).scaled(large_frames.scale)?;
     Ok(Box::new(wrapped.refined(refinement)))
+}
+
+/// Whether a network can start from a flow.
+fn starts(architecture: Architecture) -> bool {
+    !matches!(architecture.facts().start, Start::Frames(_))
 }
 
 /// Whether one of the methods refines its flow until it is still, so that pairs differ in their iterations.
@@ -465,6 +506,19 @@ impl FarnebackArgs {
 }
 
 impl MethodParameters {
+    /// Whether networks are to start from another method.
+    pub fn has_start(&self) -> bool {
+        self.start.is_some()
+    }
+
+    /// The method that a network is to start from, with its parameters; `None` for its own start.
+    fn start_of(&self, architecture: Architecture) -> Option<(&MethodSpec, Self)> {
+        let start = self.start.as_ref().filter(|_| starts(architecture))?;
+        // Frames are already scaled or cut where it sees them, and refinement is for the result.
+        let inner = Self { refine: false, start: None, large_frames: LargeFrames::default(), ..self.clone() };
+        Some((start, inner))
+    }
+
     /// The parameters of the refinement, if there is one.
     fn refinement(&self) -> Option<TvL1Parameters> {
         // More warps fit the noise.
@@ -504,9 +558,15 @@ mod tests {
         let weights = Some("a=b/c.ckpt".to_owned());
         let with_weights = MethodSpec { weights, ..skflow.into() };
         assert_eq!(spec("skflow=a=b/c.ckpt"), Ok(with_weights.clone()));
-        let labelled = MethodSpec { label: Some("Ours: 3".to_owned()), ..with_weights };
+        let labelled = MethodSpec { label: Some("Ours: 3".to_owned()), ..with_weights.clone() };
         assert_eq!(spec("Ours: 3:skflow=a=b/c.ckpt"), Ok(labelled));
         assert_eq!(spec("tvl1").unwrap().label, None);
+        let iterations = Some("12".parse().unwrap());
+        assert_eq!(spec("skflow=a=b/c.ckpt:iters=12"), Ok(MethodSpec { iterations, ..with_weights.clone() }));
+        let text = "Ours:srflow:iters=auto:0.02";
+        assert_eq!(spec(text).unwrap().to_string(), text);
+        assert!(spec("srflow:iters=0").unwrap_err().contains("iterations"));
+        assert_eq!(spec("tvl1:iters=3").unwrap_err(), "tvl1 has no iterations: leave out `:iters=...`");
         assert!(spec("pwc").unwrap_err().contains("farneback, tvl1, srflow, raft"));
         assert!(spec("a:pwc").unwrap_err().contains("unknown method `pwc`"));
         assert!(spec("tvl1=a").is_err() && spec("raft=").is_err() && spec("").is_err());
@@ -520,6 +580,36 @@ mod tests {
         assert!(scored_method("files:").unwrap_err().contains("names no folder"));
         assert!(spec("files:out").unwrap_err().contains("only `srflow eval`"));
         assert_eq!(scored_method("tvl1"), spec("tvl1"));
+    }
+
+    #[test]
+    fn a_network_starts_from_the_flow_of_a_method() {
+        let frame = |shift: f32| {
+            Image::from_fn(96, 80, |x, y| {
+                let wave = |a: f32| (127.0 + 90.0 * (a * (x as f32 - shift) + 0.2 * y as f32).sin()) as u8;
+                [wave(0.3), wave(0.2), wave(0.45)]
+            })
+        };
+        let (one, two) = (frame(0.0), frame(2.0));
+        let flow = |parameters: &MethodParameters, method: &str| {
+            let built = estimator(&method.parse().unwrap(), parameters, &Watch::SILENT).unwrap();
+            built.estimate(&one, &two).unwrap()
+        };
+        let from_farneback =
+            MethodParameters { start: Some("farneback".parse().unwrap()), ..MethodParameters::default() };
+        let plain = MethodParameters::default();
+        let network = estimator(&MethodSpec::default(), &plain, &Watch::SILENT).unwrap();
+        let expected = network.estimate_from(&one, &two, &flow(&plain, "farneback")).unwrap().flow;
+        assert_eq!(flow(&from_farneback, "srflow"), expected);
+        assert_ne!(flow(&plain, "srflow"), expected);
+        let both = ["srflow", "tvl1"].map(|method| method.parse().unwrap());
+        let both = estimators(&both, &from_farneback, &Watch::SILENT).unwrap();
+        assert_eq!(both[1].estimate(&one, &two).unwrap(), flow(&plain, "tvl1"), "not a network");
+        let error = estimators(&["tvl1".parse().unwrap()], &from_farneback, &Watch::SILENT).err().unwrap();
+        assert!(error.to_string().contains("`start` farneback: none of the methods"), "{error}");
+        let texts =
+            |parameters| records(&[MethodSpec::default()], parameters, &Watch::SILENT).unwrap().remove(0);
+        assert_ne!(texts(&plain).identity, texts(&from_farneback).identity);
     }
 
     #[test]

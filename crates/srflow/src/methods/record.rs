@@ -62,6 +62,11 @@ fn record(
         Some((_, Weights::File(path))) => (Some(path.display().to_string()), Some(file_digest(&path)?)),
         Some((network, Weights::Included)) => (Some("included".to_owned()), included_sha256(network)),
     };
+    let start = spec.method.network().and_then(|architecture| parameters.start_of(architecture));
+    let start = start.map(|(start, inner)| record(start, start.to_string(), &inner, watch)).transpose()?;
+    if let Some(start) = &start {
+        text += &format!(", started from {} ({})", start.name, start.parameters);
+    }
     let method = spec.method.name();
     let large_frames = large_frames.given().then_some(large_frames);
     let architecture = spec.method.network();
@@ -69,20 +74,31 @@ fn record(
         name,
         method,
         parameters: text,
-        identity: json!({
-            "version": 1,
-            "method": method,
-            "settings": settings,
-            "weights": sha256,
-            "large_frames": large_frames,
-            "refinement": refinement,
-        }),
+        identity: identity(
+            json!({
+                "version": 1,
+                "method": method,
+                "settings": settings,
+                "weights": sha256,
+                "large_frames": large_frames,
+                "refinement": refinement,
+            }),
+            start,
+        ),
         sha256,
         weights,
         iterations: architecture.map(|architecture| network.iterations(architecture)),
         still_px: architecture.and_then(|architecture| network.still_px(architecture)),
         device: architecture.map(|_| network.device.clone()),
     })
+}
+
+/// Without the key `start` where there is none: results from before it had a name stay valid.
+fn identity(mut identity: Value, start: Option<MethodRecord>) -> Value {
+    if let Some(start) = start {
+        identity["start"] = start.identity;
+    }
+    identity
 }
 
 type Described = (String, Value, Option<(Architecture, Weights)>);

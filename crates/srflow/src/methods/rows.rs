@@ -151,7 +151,7 @@ impl RowsArgs {
         if !missing.is_empty() && !self.skip_missing {
             let lines: Vec<String> = missing.iter().map(|(name, why)| format!("\n  {name}: {why}")).collect();
             bail!(
-                "{file}: {} of {} rows cannot be computed; put missing weights into {} (--weights-dir), or give --skip-missing{}",
+                "{file}: {} of {} rows cannot be computed; put missing weights into {} (`weights_dir`), or set `skip_missing`{}",
                 missing.len(),
                 texts.len(),
                 self.weights_dir.display(),
@@ -183,11 +183,12 @@ impl RowText {
             Some(weights) => format!("{}={weights}", self.method),
             None => self.method.clone(),
         };
+        let spec = scored_method(&method)?;
         Ok(MethodSpec {
             label: Some(self.name.clone()),
-            iterations: self.iterations,
+            iterations: self.iterations.or(spec.iterations),
             settings: self.settings.clone().into_iter().collect(),
-            ..scored_method(&method)?
+            ..spec
         })
     }
 }
@@ -203,7 +204,7 @@ fn parsed(name: &str) -> anyhow::Result<Vec<RowText>> {
     let text = match known {
         Some((_, text)) => (*text).to_owned(),
         None => read_text(Path::new(name), FileKind::Settings)
-            .with_context(|| format!("--rows: a TOML file, or one of {}", names()))?,
+            .with_context(|| format!("`rows`: a TOML file, or one of {}", names()))?,
     };
     match toml::from_str::<RowsFile>(&text) {
         Ok(file) => Ok(file.rows),

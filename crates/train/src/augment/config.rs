@@ -25,8 +25,12 @@ pub struct AugmentConfig {
     pub horizontal_flip: f32,
     /// Probability of a vertical flip.
     pub vertical_flip: f32,
+    /// Probability that frame 2 becomes frame 1 with other noise, and the flow zero.
+    pub still_probability: f32,
     /// Probability that frame 2 is cropped at another place than frame 1, which adds a constant to the whole flow.
     pub shift_probability: f32,
+    /// Whether the background outside a mask shows that shift; if not, its flow becomes unknown.
+    pub shift_background: bool,
     /// Maximum offset of that crop along each axis, in pixels after scaling.
     pub max_shift: u32,
     /// Strength of the brightness change: the factor lies in `1 - brightness .. 1 + brightness`.
@@ -64,7 +68,9 @@ impl AugmentConfig {
             max_log2_stretch: 0.2,
             horizontal_flip: 0.5,
             vertical_flip: 0.1,
+            still_probability: 0.0,
             shift_probability: 0.0,
+            shift_background: false,
             max_shift: 16,
             brightness: 0.4,
             contrast: 0.4,
@@ -134,6 +140,7 @@ impl AugmentConfig {
             ("stretch_probability", self.stretch_probability),
             ("horizontal_flip", self.horizontal_flip),
             ("vertical_flip", self.vertical_flip),
+            ("still_probability", self.still_probability),
             ("shift_probability", self.shift_probability),
             ("asymmetric_probability", self.asymmetric_probability),
             ("eraser_probability", self.eraser_probability),

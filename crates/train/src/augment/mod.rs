@@ -11,6 +11,7 @@ mod geometry;
 mod hue;
 mod resample;
 mod sparse;
+mod still;
 #[cfg(test)]
 mod tests;
 
@@ -55,6 +56,7 @@ impl Augmentation {
     /// When the frames are empty, or the parts of the sample have different sizes.
     pub fn apply(&self, mut sample: Sample, key: Key) -> Result<Sample, AugmentError> {
         check_sizes(&sample)?;
+        still::still(&mut sample, &self.config, key);
         let Sample { frame1, frame2, .. } = &mut sample;
         if key.stream("augment: asymmetric").unit() < self.config.asymmetric_probability {
             ColorJitter::draw(&self.config, &mut key.stream("augment: color 1"))
@@ -74,7 +76,7 @@ impl Augmentation {
             TruthDensity::Sparse => geometry.sparse_flow(flow),
         });
         if let Some(flow) = flow.as_mut().filter(|_| shift != [0.0; 2]) {
-            add_shift(flow, shift, mask.as_ref());
+            add_shift(flow, shift, mask.as_ref().filter(|_| !self.config.shift_background));
         }
         Ok(Sample {
             frame1: geometry.frame(&sample.frame1),
@@ -86,8 +88,8 @@ impl Augmentation {
     }
 }
 
-/// Adds a constant to the whole flow. Outside the mask the flow becomes unknown: the motion of a plain background is not
-/// visible, and a network must not learn it.
+/// Adds a constant to the whole flow. Outside the mask, if there is one, the flow becomes unknown: the motion of a plain background is
+/// not visible, and a network must not learn it.
 fn add_shift(flow: &mut FlowField, shift: [f32; 2], mask: Option<&Mask>) {
     for (index, pixel) in flow.pixels_mut().iter_mut().enumerate() {
         let shown = mask.is_none_or(|mask| mask.pixels()[index]);

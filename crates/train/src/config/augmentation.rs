@@ -16,8 +16,12 @@ pub struct AugmentationConfig {
     pub horizontal_flip: f32,
     /// Probability of a vertical flip, for samples with dense ground truth.
     pub vertical_flip: f32,
+    /// Probability that nothing moves: frame 2 is frame 1 with other noise; not in SKFlow.
+    pub still_probability: f32,
     /// Probability of cropping frame 2 at an offset from frame 1, which adds a constant to the flow; not in SKFlow.
     pub shift_probability: f32,
+    /// Whether the background outside a mask shows the offset; false for plain ones, whose flow becomes unknown.
+    pub shift_background: bool,
     /// Largest offset, in pixels of the crop.
     pub max_shift: u32,
     /// Probability of erasing one or two rectangles of frame 2.
@@ -54,7 +58,9 @@ impl Default for AugmentationConfig {
             scale_probability: skflow.scale_probability,
             horizontal_flip: skflow.horizontal_flip,
             vertical_flip: skflow.vertical_flip,
+            still_probability: skflow.still_probability,
             shift_probability: skflow.shift_probability,
+            shift_background: skflow.shift_background,
             max_shift: skflow.max_shift,
             eraser_probability: skflow.eraser_probability,
             eraser_sides: skflow.eraser_sides,
@@ -80,7 +86,9 @@ impl AugmentationConfig {
             scale_probability: self.scale_probability,
             horizontal_flip: self.horizontal_flip,
             vertical_flip: if sparse { 0.0 } else { self.vertical_flip },
+            still_probability: self.still_probability,
             shift_probability: self.shift_probability,
+            shift_background: self.shift_background,
             max_shift: self.max_shift,
             eraser_probability: self.eraser_probability,
             eraser_sides: self.eraser_sides,

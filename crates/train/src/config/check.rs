@@ -2,8 +2,10 @@
 
 use burn::tensor::Device;
 
+use srflow_nets::Start;
+
 use super::error::ConfigError;
-use super::{Config, DataConfig, MadeKind, RenderedConfig, TrainingConfig};
+use super::{Config, DataConfig, MadeKind, RenderedConfig, Starts, TrainingConfig};
 use crate::loss::LossError;
 
 /// More than any network needs; larger values are typing mistakes that would exhaust memory.
@@ -57,6 +59,14 @@ impl Config {
             return Err(LossError::NoMixture.into());
         }
         require("network.architecture", network.name, "a network that can be trained", network.trains)?;
+        if training.starts == Starts::Varied {
+            let expected = format!("own: {} cannot start from a coarse flow", network.name);
+            require("training.starts", "varied", expected, matches!(network.start, Start::Coarse(_)))?;
+            let crop = self.data.crop;
+            let expected = format!("a multiple of {} along each side, for varied starts", network.padding);
+            let fine = [crop.width, crop.height].iter().all(|side| side.is_multiple_of(network.padding));
+            require("data.crop", crop, expected, fine)?;
+        }
         let TrainingConfig { recompute, clip_frames, .. } = *training;
         let expected = format!("false: {} cannot compute its iterations one by one", network.name);
         require("training.recompute", recompute, expected, network.recompute || !recompute)?;

@@ -18,6 +18,7 @@ use srflow_nn::{Layout, WeightsError};
 use srflow_ops::Precision;
 
 use crate::loss::LossConfig;
+pub use crate::starts::Starts;
 pub use augmentation::{AugmentationConfig, AugmentationKind};
 pub use error::ConfigError;
 pub use made::{RenderedConfig, ShapesConfig};
@@ -99,6 +100,8 @@ pub struct TrainingConfig {
     pub accumulate: usize,
     /// Refinement iterations of the network.
     pub iterations: usize,
+    /// What the network starts from: `own`, or `varied` flows, good and bad ones.
+    pub starts: Starts,
     /// Store only the hidden state of each iteration and recompute the rest in the backward pass: less memory, more time, the
     /// same gradients.
     pub recompute: bool,
@@ -248,6 +251,7 @@ impl Default for TrainingConfig {
             clip_frames: 2,
             accumulate: 1,
             iterations: 12,
+            starts: Starts::Own,
             recompute: false,
             precision: Precision::F32,
             learning_rate: 1.25e-4,

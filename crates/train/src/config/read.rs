@@ -26,6 +26,7 @@ pub const PRESETS: &[Preset] = presets![
     "sea-raft",
     "ssa",
     "srflow",
+    "finetune",
     "cpu-small",
     "cpu-srflownet"
 ];

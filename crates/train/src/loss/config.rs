@@ -4,7 +4,7 @@ use srflow_nets::LaplaceMixture;
 use super::entry::{Border, MaskReading, Regularizer, SequenceLoss};
 use super::inputs::LossError;
 use super::table::SEQUENCE_LOSSES;
-use super::{cyclic, fdr, igvar, migar, tvr};
+use super::{cyclic, fdr, igvar, migar, strain, tvr};
 
 /// Defines the table of regularizers, and the loss settings with a weight for each.
 macro_rules! regularizers {
@@ -30,6 +30,8 @@ macro_rules! regularizers {
                 /// Weight of the regularizer, 0 to turn it off.
                 pub $name: f64,
             )*
+            /// Weight of the strain loss, which compares the derivatives of the flow with the true ones, 0 to turn it off.
+            pub strain: f64,
             /// Weight of the cyclic loss, which compares frame 2 with frame 1 warped by the flow, 0 to turn it off.
             pub cyclic: f64,
             /// Mask of MIGAR and IGVAR.
@@ -50,6 +52,7 @@ macro_rules! regularizers {
                     max_magnitude: 400.0,
                     log_scale_range: LaplaceMixture::LOG_SCALE_RANGE,
                     $($name: 0.0,)*
+                    strain: 0.0,
                     cyclic: 0.0,
                     m_total: MaskReading::Interior,
                     border: Border::Replicate,
@@ -103,7 +106,7 @@ impl LossConfig {
             low <= 0.0 && high >= 0.0 && low >= -50.0 && high <= 50.0,
         )?;
         let weights = REGULARIZERS.iter().map(|regularizer| (regularizer.name, self.weight(regularizer)));
-        for (name, weight) in weights.chain([(cyclic::NAME, self.cyclic)]) {
+        for (name, weight) in weights.chain([(strain::NAME, self.strain), (cyclic::NAME, self.cyclic)]) {
             let fine = weight >= 0.0 && weight.is_finite();
             number(name, weight, "a weight of 0 or more", fine)?;
         }
@@ -141,7 +144,9 @@ mod tests {
     fn the_documentation_explains_every_loss() {
         let docs = include_str!("../../../../docs/explanation/losses.md");
         let names = SEQUENCE_LOSSES.iter().map(|loss| loss.name);
-        for name in names.chain(REGULARIZERS.iter().map(|entry| entry.name)).chain([cyclic::NAME]) {
+        for name in
+            names.chain(REGULARIZERS.iter().map(|entry| entry.name)).chain([strain::NAME, cyclic::NAME])
+        {
             assert!(docs.contains(&format!("`{name}`")), "docs/explanation/losses.md lacks {name}");
         }
     }

@@ -15,6 +15,7 @@ mod mixture;
 mod of_flow;
 mod sequence;
 mod sobel;
+pub(crate) mod strain;
 mod table;
 mod tvr;
 mod weighted_variation;
@@ -35,12 +36,12 @@ use weighted_variation::{pixel_weights, total_mask, weighted_variation};
 pub struct Losses {
     /// The sum of the parts, to minimise.
     pub total: Tensor<1>,
-    /// `sequence`, then each active regularizer by [name](Regularizer::name), and `cyclic` if active, weighted as in the total.
+    /// `sequence`, then each active regularizer by [name](Regularizer::name), then `strain` and `cyclic` if active, weighted as in the total.
     pub parts: Vec<(&'static str, Tensor<1>)>,
 }
 
 /// The loss of the predictions of all iterations, in order: `sum_i gamma^(n - 1 - i) L(prediction i)` for the sequence loss, and
-/// for each active regularizer and the cyclic loss, times its weight.
+/// for each active regularizer, the strain loss and the cyclic loss, times its weight.
 ///
 /// The sequence loss of one prediction is, where pixels count if they are valid and their true motion is shorter than
 /// [`LossConfig::max_magnitude`]:
@@ -66,6 +67,10 @@ pub fn losses(
         predictions.iter().map(|prediction| truth.loss(prediction)).collect::<Result<Vec<_>, _>>()?;
     let mut parts = vec![("sequence", over_iterations(config.gamma, sequence))];
     parts.extend(regularizers(config, predictions, inputs));
+    if config.strain != 0.0 {
+        let of = predictions.iter().map(|prediction| truth.strain(prediction));
+        parts.push((strain::NAME, over_iterations(config.gamma, of) * config.strain));
+    }
     if config.cyclic != 0.0 {
         let of = |prediction: &Prediction| cyclic::cyclic(prediction.flow.clone(), inputs, config.image_max);
         parts.push((cyclic::NAME, over_iterations(config.gamma, predictions.iter().map(of)) * config.cyclic));

@@ -5,6 +5,7 @@ use burn::tensor::Tensor;
 use super::config::LossConfig;
 use super::entry::Distance;
 use super::inputs::{LossError, LossInputs, Prediction, sum};
+use super::strain::strain;
 
 /// The ground truth of a batch, prepared once for all predictions.
 pub(super) struct Truth<'a> {
@@ -13,6 +14,8 @@ pub(super) struct Truth<'a> {
     flow: Tensor<4>,
     /// Weights of the pixels, `[batch, 1, height, width]`.
     weight: Tensor<4>,
+    /// 1 at pixels that count, `[batch, 1, height, width]`.
+    counts: Tensor<4>,
 }
 
 impl<'a> Truth<'a> {
@@ -27,13 +30,17 @@ impl<'a> Truth<'a> {
         let channels = config.sequence.channels as f64;
         let counts = counts.float();
         let weight = match config.sequence.distance {
-            Distance::OfFlow(_) => counts / (channels * (batch * height * width) as f64),
+            Distance::OfFlow(_) => counts.clone() / (channels * (batch * height * width) as f64),
             Distance::OfMixture(_) => {
                 let counted = sum(counts.clone()).clamp_min(1.0) * channels;
-                counts / counted.reshape([1, 1, 1, 1])
+                counts.clone() / counted.reshape([1, 1, 1, 1])
             }
         };
-        Self { config, flow, weight }
+        Self { config, flow, weight, counts }
+    }
+
+    pub(super) fn strain(&self, prediction: &Prediction) -> Tensor<1> {
+        strain(&(prediction.flow.clone() - self.flow.clone()), &self.counts)
     }
 
     pub(super) fn loss(&self, prediction: &Prediction) -> Result<Tensor<1>, LossError> {

@@ -109,6 +109,27 @@ proptest! {
         }
     }
 
+    /// As if the camera moved.
+    #[test]
+    fn a_background_that_shows_the_shift_has_a_known_flow(seed in any::<u64>()) {
+        let config = AugmentConfig { shift_probability: 1.0, shift_background: true, ..AugmentConfig::dense([64, 48]) };
+        let after = apply(moving_only(config), moving(120, 100), Key::new(seed));
+        prop_assert!(after.flow.as_ref().expect("a flow").pixels().iter().all(|[u, v]| u.is_finite() && v.is_finite()));
+        let residual = warp_residual(&after);
+        prop_assert!(residual < 1.5, "{}", residual);
+    }
+
+    /// Nothing moves, and both frames are the picture with noise of their own, if any.
+    #[test]
+    fn a_still_sample_has_no_flow(seed in any::<u64>()) {
+        let config = AugmentConfig { still_probability: 1.0, ..AugmentConfig::crop_only([64, 48]) };
+        let after = apply(config, moving(120, 100), Key::new(seed));
+        prop_assert!(after.flow.as_ref().expect("a flow").pixels().iter().all(|flow| *flow == [0.0; 2]));
+        prop_assert!(after.occlusion.as_ref().expect("a mask").pixels().iter().all(|hidden| !hidden));
+        let residual = warp_residual(&after);
+        prop_assert!(residual < 5.0, "{}", residual);
+    }
+
     /// Frame 1 is white where the mask is true, and the other mask is its opposite.
     #[test]
     fn masks_follow_frame_1(seed in any::<u64>()) {

@@ -3,13 +3,14 @@
 use std::path::Path;
 
 use burn::tensor::Device;
+use srflow_core::random::Key;
 use srflow_core::{FlowField, Mask};
 use srflow_data::flow::Sample;
 use srflow_files::{RunMode, write_flow, write_image_png};
 use srflow_nets::Architecture;
 use srflow_ops::Precision;
 use srflow_train::batch::Batch;
-use srflow_train::config::Config;
+use srflow_train::config::{Config, Starts};
 use srflow_train::loss::{LossConfig, SEQUENCE_LOSSES};
 use srflow_train::replica::Replicas;
 use srflow_train::training_log::Record;
@@ -33,7 +34,7 @@ fn batch(count: usize) -> Batch {
                 mask: Some(Mask::from_fn(SIZE, SIZE, |x, y| x > 8 + i && y < 50)),
                 occlusion: None,
             };
-            TrainingSample { name: format!("pair {i}"), sample }
+            TrainingSample { name: format!("pair {i}"), key: Key::new(1).frame(i as u32), sample }
         })
         .collect();
     Batch::new(&samples)
@@ -51,7 +52,8 @@ fn pass(
 
 fn pass_at(precision: Precision, architecture: Architecture, batch: &Batch) -> Pass {
     let loss = LossConfig::default();
-    let settings = PassSettings { loss, iterations: 3, accumulate: 1, recompute: false, precision };
+    let settings =
+        PassSettings { loss, iterations: 3, starts: Starts::Own, accumulate: 1, recompute: false, precision };
     let (replicas, _) =
         Replicas::new(|device| architecture.init(device), &[Device::flex()], 3, false, settings);
     replicas.pass(std::slice::from_ref(batch)).expect("a loss")
@@ -68,7 +70,14 @@ fn pass_of_clips(
     let sequence = SEQUENCE_LOSSES.iter().find(|loss| loss.needs_mixture() == has_mixture);
     let sequence = sequence.expect("losses of both kinds");
     let loss = LossConfig { sequence, tvr: 0.05, fdr: 0.05, igvar: 0.1, ..LossConfig::default() };
-    let settings = PassSettings { loss, iterations: 3, accumulate, recompute, precision: Precision::F32 };
+    let settings = PassSettings {
+        loss,
+        iterations: 3,
+        starts: Starts::Own,
+        accumulate,
+        recompute,
+        precision: Precision::F32,
+    };
     let devices = vec![Device::flex(); devices];
     let (replicas, mut values) =
         Replicas::new(|device| architecture.init(device), &devices, 3, false, settings);
@@ -229,6 +238,31 @@ fn small_run(dir: &Path) -> Config {
         dir.display()
     );
     Config::parse(&text, "test").expect("a configuration")
+}
+
+#[test]
+fn a_run_from_weights_is_scored_before_its_first_step() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 3);
+    let devices = [Device::flex()];
+    let mut config = small_run(dir.path());
+    let scored = |config: &Config, run: &str| {
+        let mut steps = Vec::new();
+        let mut seen = |event: Event<'_>| {
+            if let Event::Recorded(Record::Validation(scores)) = event {
+                steps.push(scores.step);
+            }
+        };
+        train(config, &only_files, &devices, &dir.path().join(run), RunMode::New, &mut seen)
+            .expect("a short run");
+        steps
+    };
+    config.validation.data = config.data.train.clone();
+    config.validation.every = 4;
+    assert_eq!(scored(&config, "random"), [4]);
+    config.network.weights = dir.path().join("random/last.safetensors");
+    assert_eq!(scored(&config, "continued"), [0, 4]);
+    assert!(dir.path().join("continued/best.safetensors").is_file());
 }
 
 /// Replaces the last weight in a file of weights by infinity. Returns the file's bytes.

@@ -83,6 +83,11 @@ fn check(case: &str, part: &str, config: &LossConfig) {
 }
 
 #[test]
+fn the_strain_loss_matches_the_reference() {
+    check("strain", "strain", &LossConfig { strain: 1.0, ..LossConfig::default() });
+}
+
+#[test]
 fn the_cyclic_loss_matches_the_reference() {
     check("cyclic", "cyclic", &LossConfig { cyclic: 1.0, ..LossConfig::default() });
 }

@@ -237,7 +237,7 @@ impl Evaluation {
         };
         let note = |method: &MethodScores| {
             format!(
-                "{}: worse than zero flow on every pair. Check that its weights, iterations and scale suit these frames.",
+                "{}: worse than zero flow on every pair. Check that its weights and settings suit these frames.",
                 method.name
             )
         };
@@ -433,15 +433,18 @@ impl Evaluation {
     }
 }
 
+/// Where nothing moves, every method is worse than zero flow, and may still be a good one.
+const NOTICEABLE_PX: f64 = 0.1;
+
 impl MethodScores {
-    /// Whether its error is above that of `other` on each of the pairs that both have, of which there is at least one.
+    /// Whether its error can be noticed and is above that of `other`, on each of the pairs that both have, of which there is at least one.
     fn is_worse_on_every_pair(&self, other: &Self) -> bool {
         let of = |scores: &PairScores| scores.whole.map(|metrics| metrics.epe);
         let other: BTreeMap<&str, f64> =
             other.pairs.iter().filter_map(|scores| Some((scores.pair.as_str(), of(scores)?))).collect();
         let mut both =
             self.pairs.iter().filter_map(|own| Some((of(own)?, *other.get(own.pair.as_str())?))).peekable();
-        both.peek().is_some() && both.all(|(own, other)| own > other)
+        both.peek().is_some() && both.all(|(own, other)| own > other.max(NOTICEABLE_PX))
     }
 
     /// The mean over pairs in one region.

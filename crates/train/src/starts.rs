@@ -19,7 +19,7 @@ pub enum Starts {
     /// As it starts without a given flow.
     Own,
     /// In each step one of these: as without a given flow, zero flow, the true flow with smooth errors, or what the network finds in up
-    /// to [`MOST_ITERATIONS`] iterations, which makes it stable under more iterations than those it learns by.
+    /// to six iterations, which makes it stable under more iterations than those it learns by.
     Varied,
 }
 

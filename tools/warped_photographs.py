@@ -63,6 +63,14 @@ def pair(rng, photograph):
     return *(frame[inside, inside] for frame in frames), flow[inside, inside].astype(np.float32)
 
 
+def write_pair(folder, name, frames, flow):
+    """A pair of a plain folder."""
+    for number, frame in enumerate(frames, 1):
+        cv2.imwrite(str(folder / f"{name}_img{number}.png"), frame)
+    with open(folder / f"{name}_flow.flo", "wb") as file:
+        file.write(b"PIEH" + np.array(flow.shape[1::-1], "<i4").tobytes() + flow.astype("<f4").tobytes())
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
@@ -81,11 +89,7 @@ def main():
         for number in range(PAIRS):
             rng = np.random.default_rng([args.seed, number, *path.name.encode()])
             first, second, flow = pair(rng, photograph)
-            stem = f"{path.resolve().parent.name}-{path.stem}-{number}"
-            cv2.imwrite(str(args.out / f"{stem}_img1.png"), first)
-            cv2.imwrite(str(args.out / f"{stem}_img2.png"), second)
-            with open(args.out / f"{stem}_flow.flo", "wb") as file:
-                file.write(b"PIEH" + np.array(flow.shape[1::-1], "<i4").tobytes() + flow.astype("<f4").tobytes())
+            write_pair(args.out, f"{path.resolve().parent.name}-{path.stem}-{number}", [first, second], flow)
 
 
 if __name__ == "__main__":

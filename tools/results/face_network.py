@@ -64,10 +64,7 @@ def read_flo(path):
 def put(folder, name, frames, flow, region, expression=None):
     """A pair of a plain folder, with its region map (0 is the background) beside it."""
     folder.mkdir(parents=True, exist_ok=True)
-    for number, frame in enumerate(frames, 1):
-        cv2.imwrite(str(folder / f"{name}_img{number}.png"), frame)
-    with open(folder / f"{name}_flow.flo", "wb") as file:
-        file.write(b"PIEH" + np.array(flow.shape[1::-1], "<i4").tobytes() + flow.astype("<f4").tobytes())
+    warped_photographs.write_pair(folder, name, frames, flow)
     np.savez_compressed(folder / f"{name}.npz", region=region, **({} if expression is None else {"expression": expression}))
 
 
@@ -199,7 +196,7 @@ def score(args):
         rows = {}
         for pair in own["pairs"]:
             name = Path(pair["pair"]).name
-            (path,) = (path for path in flows.rglob("*.flo") if path.stem.startswith(name))
+            (path,) = (path for path in flows.rglob("*.flo") if path.stem == name)
             found = scores_of(read_flo(path), read_flo(folder / f"{name}_flow.flo"), np.load(folder / f"{name}.npz"))
             rows[name] = {key: float(value) for key, value in found.items()} | {"seconds": pair["seconds"]}
         (args.dir / "scores" / args.name).mkdir(parents=True, exist_ok=True)

@@ -437,14 +437,12 @@ impl Evaluation {
 const NOTICEABLE_PX: f64 = 0.1;
 
 impl MethodScores {
-    /// Whether its error can be noticed and is above that of `other`, on each of the pairs that both have, of which there is at least one.
+    /// Whether the error of each pair is noticeable and above that of `other`, which has the same pairs.
     fn is_worse_on_every_pair(&self, other: &Self) -> bool {
-        let of = |scores: &PairScores| scores.whole.map(|metrics| metrics.epe);
-        let other: BTreeMap<&str, f64> =
-            other.pairs.iter().filter_map(|scores| Some((scores.pair.as_str(), of(scores)?))).collect();
-        let mut both =
-            self.pairs.iter().filter_map(|own| Some((of(own)?, *other.get(own.pair.as_str())?))).peekable();
-        both.peek().is_some() && both.all(|(own, other)| own > other.max(NOTICEABLE_PX))
+        let errors =
+            |scores: &Self| scores.pairs.iter().filter_map(|pair| Some(pair.whole.as_ref()?.epe)).collect();
+        let [own, other]: [Vec<f64>; 2] = [self, other].map(errors);
+        !own.is_empty() && own.iter().zip(&other).all(|(own, other)| *own > other.max(NOTICEABLE_PX))
     }
 
     /// The mean over pairs in one region.

@@ -30,7 +30,8 @@ pub(crate) fn add_gradients(
     let inputs = batch.loss_inputs(device);
     let tracked = parts(network.encode(frames.clone()).expect("the configuration was checked"));
     let plain: Vec<Tensor<4>> = tracked.iter().cloned().map(Tensor::inner).collect();
-    let (states, last) = states(network, batch, &plain, settings.iterations);
+    let start = settings.starts.draw(network, batch, device).map(Tensor::inner);
+    let (states, last) = states(network, batch, &plain, start, settings.iterations);
 
     let mut losses_of_batch = BatchLosses { epe: batch.end_point_error(&last), ..BatchLosses::default() };
     // Gradients of the hidden state after the iteration, then of the constant parts.
@@ -84,12 +85,13 @@ fn states(
     network: &Network,
     batch: &Batch,
     plain: &[Tensor<4>],
+    start: Option<Tensor<4>>,
     iterations: usize,
 ) -> (Vec<State>, Vec<f32>) {
     let network = network.valid();
     let frames = batch.frames(&plain[0].device());
     let mut parts = plain.to_vec();
-    let mut coarse = None;
+    let mut coarse = start;
     let mut states = Vec::with_capacity(iterations);
     let mut last = Vec::new();
     for iteration in 1..=iterations {

@@ -252,7 +252,7 @@ fn named(paths: &[PathBuf]) -> anyhow::Result<Vec<(String, &Path)>> {
 /// The flow of one sequence, or pair.
 fn estimate(job: &FlowJob, watch: &Watch) -> anyhow::Result<SequenceReport> {
     let network = &job.parameters.network;
-    if job.parameters.has_start() && (job.warm_start || job.initial_flow.is_some()) {
+    if job.parameters.start.is_some() && (job.warm_start || job.initial_flow.is_some()) {
         wrong_settings!(
             "`start` does not go together with `warm_start` or `initial_flow`: leave one of them out"
         );

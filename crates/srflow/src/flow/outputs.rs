@@ -74,7 +74,7 @@ impl Outputs {
                     kind.name()
                 );
             }
-            if job.parameters.has_start() {
+            if job.parameters.start.is_some() {
                 wrong_settings!("`{}` does not go together with `start`: leave one of them out", kind.name());
             }
             let is_npy = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy"));

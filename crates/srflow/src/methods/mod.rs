@@ -234,7 +234,7 @@ pub struct MethodParameters {
     refine: bool,
     /// Start networks from the flow of this method, such as tvl1 or raft-small=FILE, in place of their own start
     #[arg(long, value_name = "METHOD")]
-    start: Option<MethodSpec>,
+    pub start: Option<MethodSpec>,
     #[command(flatten)]
     #[serde(flatten)]
     pub network: NetworkArgs,
@@ -475,9 +475,10 @@ fn built(
     Ok(Box::new(wrapped.refined(refinement)))
 }
 
-/// Whether a network can start from a flow.
+/// Whether a network can start each pair from a flow, and takes nothing else from the pairs before.
 fn starts(architecture: Architecture) -> bool {
-    !matches!(architecture.facts().start, Start::Frames(_))
+    let facts = architecture.facts();
+    !facts.remembers && !matches!(facts.start, Start::Frames(_))
 }
 
 /// Whether one of the methods refines its flow until it is still, so that pairs differ in their iterations.
@@ -506,11 +507,6 @@ impl FarnebackArgs {
 }
 
 impl MethodParameters {
-    /// Whether networks are to start from another method.
-    pub fn has_start(&self) -> bool {
-        self.start.is_some()
-    }
-
     /// The method that a network is to start from, with its parameters; `None` for its own start.
     fn start_of(&self, architecture: Architecture) -> Option<(&MethodSpec, Self)> {
         let start = self.start.as_ref().filter(|_| starts(architecture))?;

@@ -70,35 +70,29 @@ fn record(
     let method = spec.method.name();
     let large_frames = large_frames.given().then_some(large_frames);
     let architecture = spec.method.network();
+    let mut identity = json!({
+        "version": 1,
+        "method": method,
+        "settings": settings,
+        "weights": sha256,
+        "large_frames": large_frames,
+        "refinement": refinement,
+    });
+    // No key without a start: results that were kept before there were starts stay valid.
+    if let Some(start) = start {
+        identity["start"] = start.identity;
+    }
     Ok(MethodRecord {
         name,
         method,
         parameters: text,
-        identity: identity(
-            json!({
-                "version": 1,
-                "method": method,
-                "settings": settings,
-                "weights": sha256,
-                "large_frames": large_frames,
-                "refinement": refinement,
-            }),
-            start,
-        ),
+        identity,
         sha256,
         weights,
         iterations: architecture.map(|architecture| network.iterations(architecture)),
         still_px: architecture.and_then(|architecture| network.still_px(architecture)),
         device: architecture.map(|_| network.device.clone()),
     })
-}
-
-/// Without the key `start` where there is none: results from before it had a name stay valid.
-fn identity(mut identity: Value, start: Option<MethodRecord>) -> Value {
-    if let Some(start) = start {
-        identity["start"] = start.identity;
-    }
-    identity
 }
 
 type Described = (String, Value, Option<(Architecture, Weights)>);

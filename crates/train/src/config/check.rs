@@ -1,7 +1,6 @@
 //! Validates the values of a configuration.
 
 use burn::tensor::Device;
-
 use srflow_nets::Start;
 
 use super::error::ConfigError;

@@ -50,6 +50,20 @@ fn pass(
     pass_of_clips(architecture, devices, accumulate, recompute, std::slice::from_ref(batch))
 }
 
+fn pass_from(starts: Starts, recompute: bool, batch: &Batch) -> Pass {
+    let settings = PassSettings {
+        loss: LossConfig::default(),
+        iterations: 2,
+        starts,
+        accumulate: 1,
+        recompute,
+        precision: Precision::F32,
+    };
+    let (replicas, _) =
+        Replicas::new(|device| Architecture::RaftSmall.init(device), &[Device::flex()], 3, false, settings);
+    replicas.pass(std::slice::from_ref(batch)).expect("a loss")
+}
+
 fn pass_at(precision: Precision, architecture: Architecture, batch: &Batch) -> Pass {
     let loss = LossConfig::default();
     let settings =
@@ -141,6 +155,21 @@ fn recomputed_iterations_give_the_same_gradients() {
 
 /// Memory does not matter here: the attention of MemFlow is initialized without effect. `crates/nets/tests/nets/parity.rs` compares
 /// gradients through memory with the reference.
+/// The step decides what a batch starts from.
+#[test]
+fn recomputed_iterations_start_from_the_same_flow() {
+    let mut others = 0;
+    for step in 0..6 {
+        let mut batch = batch(1);
+        batch.keys = vec![Key::new(1).scene(step)];
+        let [kept, recomputed] = [false, true].map(|recompute| pass_from(Starts::Varied, recompute, &batch));
+        assert_same(&kept, &recomputed, 1e-3);
+        let own = pass_from(Starts::Own, false, &batch);
+        others += usize::from((own.losses.total - kept.losses.total).abs() > 1e-3);
+    }
+    assert!(others > 0, "steps with a start of their own");
+}
+
 #[test]
 fn the_loss_of_clips_is_the_mean_of_their_pairs() {
     let mut second = batch(2);

@@ -33,8 +33,15 @@ fn main() {
         rows.push(("ICT-FaceKit", vec![ict.clone()], ict));
     }
     for (name, truths, model) in &rows {
-        let everything =
-            Capture { seed: 0, cameras: 4, timesteps: LONG, noise: 1.0, outliers: 0.05, missing: 0.1 };
+        let everything = Capture {
+            seed: 0,
+            cameras: 4,
+            timesteps: LONG,
+            noise: 1.0,
+            outliers: 0.05,
+            missing: 0.1,
+            offsets: 0.0,
+        };
         if std::env::args().any(|argument| argument == "--long") {
             measure(name, truths, model, everything);
             continue;

@@ -11,7 +11,8 @@ use synthetic::{Capture, capture, errors};
 
 static MODEL: LazyLock<HeadModel> = LazyLock::new(HeadModel::builtin_average);
 
-const EASY: Capture = Capture { seed: 1, cameras: 4, timesteps: 8, noise: 0.0, outliers: 0.0, missing: 0.0 };
+const EASY: Capture =
+    Capture { seed: 1, cameras: 4, timesteps: 8, noise: 0.0, outliers: 0.0, missing: 0.0, offsets: 0.0 };
 
 fn fitted(views: &[LandmarkView]) -> Fit {
     fit(&MODEL, views, &FitOptions::default(), |_, _, _| ()).expect("a fit")
@@ -89,6 +90,36 @@ fn one_camera_fits_the_picture_and_says_what_it_cannot_know() {
     for reach in [reach, sure] {
         assert!(reach.unknown_joints.iter().any(|joint| joint == "neck"), "{reach:?}");
     }
+}
+
+#[test]
+fn a_detector_with_other_landmarks_does_not_change_the_size_of_the_head() {
+    let made = Capture { seed: 4, noise: 0.5, cameras: 1, timesteps: 12, offsets: 0.002, ..EASY };
+    let (views, states) = capture(&MODEL, made);
+    let corners = |states: &[HeadState]| {
+        let at_rest = HeadState { identity: states[0].identity.clone(), ..HeadState::default() };
+        let points = HeadPoints::landmarks(&MODEL).positions(&at_rest);
+        1000.0 * points[36].distance(points[45])
+    };
+    let truth = corners(&states);
+    let free = fitted(&views);
+    let found = corners(&free.states);
+    eprintln!("{truth} mm, found {found} mm, {:?}", free.report.reach);
+    assert!((found - truth).abs() < 0.1 * truth, "{found} for {truth} mm");
+    assert!(free.report.reach.largest_identity < 4.0, "{:?}", free.report.reach);
+    assert!((0.3..0.8).contains(&free.report.noise), "{}", free.report.noise);
+
+    let pupils = |state: &HeadState| {
+        let at_rest = HeadState { identity: state.identity.clone(), ..HeadState::default() };
+        let points = HeadPoints::landmarks(&MODEL).positions(&at_rest);
+        let mean = |from: usize| points[from..from + 6].iter().sum::<DVec3>() / 6.0;
+        mean(36).distance(mean(42))
+    };
+    let eye_distance = Some(pupils(&states[0]));
+    let options = FitOptions { eye_distance, ..FitOptions::default() };
+    let known = fit(&MODEL, &views, &options, |_, _, _| ()).expect("a fit");
+    let (found, truth) = (1000.0 * pupils(&known.states[0]), 1000.0 * pupils(&states[0]));
+    assert!((found - truth).abs() < 1.0, "{found} for {truth} mm");
 }
 
 #[test]

@@ -1080,6 +1080,7 @@ def avatar_fit(
     landmarks_of: str | Sequence[str] | None = None,
     cameras: int | Sequence[int] | None = None,
     noise: float | None = None,
+    eye_distance: float | None = None,
     identities: int = 100,
     expressions: int = 100,
     seed: int = 1,
@@ -1097,6 +1098,7 @@ def avatar_fit(
         landmarks_of: Landmarks of one camera, as OpenFace writes them, or MediaPipe's as columns x_0, y_0, ...; may be repeated.
         cameras: Use only these cameras.
         noise: Standard deviation of the landmarks, in pixels [default: estimated].
+        eye_distance: Distance between the pupils in millimetres, about 63 in adults; gives the scale that a single camera cannot see.
         identities: Fit at most this many shapes of the identity basis.
         expressions: Fit at most this many shapes of the expression basis.
         seed: Seed of a built-in head.
@@ -1141,7 +1143,7 @@ def avatar_train(
         print_config: Print the configuration with every key instead of training, as TOML or JSON.
         checkpoint_every: Minimum time between two checkpoints.
         stop_after: Write a checkpoint and stop after this iteration or up to 100 later; --resume continues.
-        iterations: Number of iterations, one picture each.
+        iterations: Number of iterations, one picture each; all that the configuration schedules moves along.
         seed: Random seed.
         strategy: Strategy that adds and removes Gaussians: default (3D Gaussian Splatting), absgs or mcmc.
         antialiased: Render Gaussians smaller than a pixel antialiased; see docs/guides/rasterize.md.

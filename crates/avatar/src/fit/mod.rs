@@ -9,12 +9,15 @@
 
 mod arrow;
 mod initial;
+mod priors;
 mod problem;
 mod report;
+#[cfg(test)]
+mod tests;
 
 use srflow_splat::Camera;
 
-pub use problem::Priors;
+pub use priors::Priors;
 pub use report::{CameraFit, FitReport, Reach, ViewFit};
 
 use crate::capture::{Face, LANDMARK_COUNT};
@@ -38,6 +41,8 @@ pub struct FitOptions {
     pub identities: usize,
     /// How many shapes of the expression basis are fitted, from the first one.
     pub expressions: usize,
+    /// Distance between the pupils in metres, if it is known: it gives the scale that one camera cannot see.
+    pub eye_distance: Option<f64>,
     /// Standard deviation of a landmark's coordinates in pixels; `None` to estimate it from the residuals.
     pub noise: Option<f64>,
     /// A landmark further from the fit than this many standard deviations counts as an outlier.
@@ -54,6 +59,7 @@ impl Default for FitOptions {
         Self {
             identities: 100,
             expressions: 100,
+            eye_distance: None,
             noise: None,
             outlier: 4.0,
             contour: 2.0,
@@ -61,6 +67,9 @@ impl Default for FitOptions {
         }
     }
 }
+
+/// How often all timesteps are fitted together: first with the given precision of landmarks and offsets, then with what was learned.
+const REFINEMENTS: usize = 4;
 
 /// A stage of the fit, for progress.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -140,11 +149,10 @@ pub fn fit(
     let first = problem.first_timestep();
 
     progress(FitStage::First, 0, 1);
-    let mut states = vec![HeadState::default(); count];
-    let rest = problem.rest();
-    let posed = problem.posed(first, &rest).ok_or(FitError::Pose { timestep: problem.timesteps[first] })?;
-    states[first] = posed;
-    let mut noise = problem.anneal(&mut states, &Window::one(first).with_identity());
+    let mut heads = problem.heads();
+    let posed = problem.posed(first, &heads.states[first], &heads.offsets);
+    heads.states[first] = posed.ok_or(FitError::Pose { timestep: problem.timesteps[first] })?;
+    let mut noise = problem.anneal(&mut heads, &Window::one(first).with_identity());
     progress(FitStage::First, 1, 1);
 
     // From the first timestep to both ends, each from its neighbour.
@@ -152,17 +160,19 @@ pub fn fit(
     let before = (0..first).rev().map(|timestep| (timestep, timestep + 1));
     for (done, (timestep, neighbour)) in after.chain(before).enumerate() {
         progress(FitStage::Track, done, count - 1);
-        states[timestep] = states[neighbour].clone();
-        problem.track(&mut states, timestep, neighbour, noise);
+        problem.track(&mut heads, timestep, neighbour, noise);
     }
 
-    progress(FitStage::Refine, 0, 2);
     let window = Window::all(count).with_identity();
-    noise = problem.anneal(&mut states, &window);
-    progress(FitStage::Refine, 1, 2);
-    problem.weigh_landmarks(&states, noise);
-    noise = problem.anneal(&mut states, &window);
-    progress(FitStage::Refine, 2, 2);
-    let report = problem.report(&states, first, noise);
-    Ok(Fit { timesteps: problem.timesteps, states, report })
+    for round in 0..REFINEMENTS {
+        progress(FitStage::Refine, round, REFINEMENTS);
+        if round > 0 {
+            problem.weigh_landmarks(&heads, noise);
+            problem.weigh_offsets(&heads, &window, noise);
+        }
+        noise = problem.anneal(&mut heads, &window);
+    }
+    progress(FitStage::Refine, REFINEMENTS, REFINEMENTS);
+    let report = problem.report(&heads, first, noise);
+    Ok(Fit { timesteps: problem.timesteps, states: heads.states, report })
 }

@@ -7,69 +7,31 @@ use rayon::prelude::*;
 
 use super::arrow::{Block, Step, System};
 use super::initial::candidates;
+use super::priors::ranges;
 use super::{FitOptions, LandmarkView};
 use crate::capture::LANDMARK_COUNT;
 use srflow_core::median;
-use srflow_head::{HeadModel, HeadPoints, HeadState, JointRole, rotation_of_axis_angle};
-
-/// Standard deviations of normal distributions: of parameters about rest, and of their change from one timestep to the next that
-/// has a picture (`*_change`).
-///
-/// VHAP's weights (`vhap/config/base.py`, `nersemble.py`) belong to distances in normalised device coordinates that are averaged over
-/// landmarks. Here landmarks have a noise in pixels, so each prior is a width in the parameter's own unit; they keep the order
-/// of VHAP's weights: eyes are freer than neck and jaw, and the jaw may change faster than neck, rotation and translation.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Priors {
-    /// Of an identity weight; 1 where the basis is in standard deviations, as in FLAME, GNM and ICT-FaceKit.
-    pub identity: f64,
-    /// Of an expression weight. An expression with a range, that is one which an action unit is made of, has half of its range
-    /// instead, and resists leaving it.
-    pub expression: f64,
-    /// Of the neck's rotation about each axis, radians.
-    pub neck: f64,
-    /// Of the jaw's opening, radians. Sideways and twisted it has a fifth of this, and it resists closing beyond rest.
-    pub jaw: f64,
-    /// Of each eyeball's rotation, radians.
-    pub eyes: f64,
-    /// Metres.
-    pub translation_change: f64,
-    /// Of the whole head, radians.
-    pub rotation_change: f64,
-    /// Radians.
-    pub neck_change: f64,
-    /// Radians.
-    pub jaw_change: f64,
-    /// Radians.
-    pub eyes_change: f64,
-    pub expression_change: f64,
-}
-
-impl Default for Priors {
-    fn default() -> Self {
-        Self {
-            identity: 1.0,
-            expression: 1.0,
-            neck: 0.2,
-            jaw: 0.2,
-            eyes: 0.4,
-            translation_change: 0.01,
-            rotation_change: 0.05,
-            neck_change: 0.05,
-            jaw_change: 0.2,
-            eyes_change: 0.4,
-            expression_change: 0.3,
-        }
-    }
-}
-
-/// Weights beyond the range of an expression, and a jaw closed beyond rest, have this standard deviation.
-const BEYOND: f64 = 0.05;
+use srflow_head::{HeadModel, HeadPoints, HeadState, JointRole};
 
 /// The noise is not estimated below this, in pixels: no detector is more precise.
 const LEAST_NOISE: f64 = 0.25;
 
+/// Timesteps that are linearised at once: each takes about a megabyte.
+const AT_ONCE: usize = 32;
+
 /// The first landmark that is not of the jaw's contour.
 const CONTOUR: usize = 17;
+
+/// Between which [`Priors::landmark`] is learned.
+const OFFSET_DEVIATIONS: [f64; 2] = [0.001, 0.05];
+
+/// Landmarks of the outer corners of the eyes.
+pub(super) const EYE_CORNERS: [usize; 2] = [36, 45];
+
+const RIGHT_EYE: [usize; 6] = [36, 37, 38, 39, 40, 41];
+const LEFT_EYE: [usize; 6] = [42, 43, 44, 45, 46, 47];
+/// Of a stated distance between the pupils, metres.
+const EYE_DISTANCE_DEVIATION: f64 = 0.0005;
 
 /// For two normally distributed coordinates, the median distance in standard deviations.
 const MEDIAN_DISTANCE: f64 = 1.177_41;
@@ -89,11 +51,16 @@ pub(super) struct Problem<'a> {
     /// Fitted joints: the root, then those of roles.
     pub joints: Vec<usize>,
     /// Weights that each fitted expression is meant for.
-    ranges: Vec<Option<[f64; 2]>>,
+    pub ranges: Vec<Option<[f64; 2]>>,
     /// How many times less precise each landmark is than the best ones.
     factors: Vec<f64>,
+    /// Standard deviation of the offsets of landmarks.
+    offset_deviation: f64,
+    /// Between the outer corners of the eyes, which is the size of the head, and between the pupils.
+    pub corners: DistanceAtRest,
+    pupils: DistanceAtRest,
     /// One over the variance of the change between timesteps, for each parameter of a timestep.
-    coupling: Vec<f64>,
+    pub change_precisions: Vec<f64>,
 }
 
 /// What is solved for: parameters of some timesteps, the others held.
@@ -130,7 +97,7 @@ impl Window {
 }
 
 /// One landmark in one view.
-pub(super) struct Residual {
+pub(super) struct LandmarkResidual {
     pub landmark: usize,
     /// Index into the views of the timestep.
     pub view: usize,
@@ -138,12 +105,33 @@ pub(super) struct Residual {
     pub pixels: Option<DVec2>,
 }
 
+/// What is fitted: the head at some timesteps, and where its landmarks are.
+#[derive(Debug, Clone)]
+pub(super) struct Heads {
+    /// The first of the timesteps.
+    pub first: usize,
+    pub states: Vec<HeadState>,
+    /// From each of the model's landmarks to the detector's, in the axes of the head at rest and in [`Problem::size`]s of it.
+    /// In metres, they would be more probable the smaller the head.
+    pub offsets: Vec<DVec3>,
+}
+
+impl Heads {
+    pub fn state(&self, timestep: usize) -> &HeadState {
+        &self.states[timestep - self.first]
+    }
+
+    fn state_mut(&mut self, timestep: usize) -> &mut HeadState {
+        &mut self.states[timestep - self.first]
+    }
+}
+
 /// A sum of squares and its linearisation.
-struct Terms {
-    cost: f64,
-    /// Identity, then the timestep's own parameters; n x n, only the lower triangle before [`Problem::linearise`] has split it.
-    hessian: Vec<f64>,
-    gradient: Vec<f64>,
+pub(super) struct Terms {
+    pub cost: f64,
+    /// Shared parameters, then the timestep's own; n x n, only the lower triangle before [`Problem::linearise`] has split it.
+    pub hessian: Vec<f64>,
+    pub gradient: Vec<f64>,
 }
 
 impl<'a> Problem<'a> {
@@ -171,30 +159,39 @@ impl<'a> Problem<'a> {
             joints,
             ranges: ranges(model, expressions),
             factors: (0..LANDMARK_COUNT).map(|l| if l < CONTOUR { options.contour } else { 1.0 }).collect(),
-            coupling: Vec::new(),
+            offset_deviation: options.priors.landmark,
+            corners: DistanceAtRest::default(),
+            pupils: DistanceAtRest::default(),
+            change_precisions: Vec::new(),
         };
-        problem.coupling = problem.couplings();
+        let [right, left] = EYE_CORNERS;
+        problem.corners = problem.distance_at_rest(&[right], &[left]);
+        problem.pupils = problem.distance_at_rest(&RIGHT_EYE, &LEFT_EYE);
+        problem.change_precisions = problem.change_precisions();
         problem
     }
 
-    fn couplings(&self) -> Vec<f64> {
-        let priors = &self.options.priors;
-        let mut deviations = vec![priors.expression_change; self.expressions];
-        for &joint in &self.joints {
-            let deviation = match self.role(joint) {
-                JointRole::Root => priors.rotation_change,
-                JointRole::Neck => priors.neck_change,
-                JointRole::Jaw => priors.jaw_change,
-                JointRole::LeftEye | JointRole::RightEye => priors.eyes_change,
-            };
-            deviations.extend([deviation; 3]);
+    /// Between the means of some landmarks.
+    fn distance_at_rest(&self, from: &[usize], to: &[usize]) -> DistanceAtRest {
+        let rest = self.points.derivatives(&self.rest());
+        let apart = |value: &dyn Fn(usize) -> DVec3| {
+            let mean = |of: &[usize]| of.iter().map(|l| value(*l)).sum::<DVec3>() / of.len() as f64;
+            mean(to) - mean(from)
+        };
+        let columns = self.points.columns();
+        DistanceAtRest {
+            mean: apart(&|landmark| rest.positions[landmark]),
+            shapes: (0..self.identities).map(|i| apart(&|l| rest.values[l * columns + i])).collect(),
         }
-        deviations.extend([priors.translation_change; 3]);
-        deviations.iter().map(|deviation| deviation.powi(-2)).collect()
     }
 
     pub fn role(&self, joint: usize) -> JointRole {
         self.model.joints[joint].role.unwrap_or(JointRole::Root)
+    }
+
+    /// Number of parameters that all timesteps share: identity, and the offsets of landmarks.
+    pub fn shared(&self) -> usize {
+        self.identities + 3 * LANDMARK_COUNT
     }
 
     /// Number of parameters of one timestep: expressions, three per joint, translation.
@@ -202,17 +199,59 @@ impl<'a> Problem<'a> {
         self.expressions + 3 * self.joints.len() + 3
     }
 
-    /// Columns of [`HeadPoints::derivatives`]: identity, then the timestep's own.
-    pub fn columns(&self) -> Vec<usize> {
+    /// How each parameter moves each landmark of a timestep: for each landmark, the shared parameters, then the timestep's own. Also
+    /// where the landmarks are.
+    pub fn derivatives(&self, heads: &Heads, timestep: usize) -> (Vec<DVec3>, Vec<Vec<DVec3>>) {
+        let state = heads.state(timestep);
+        let derivatives = self.points.derivatives(state);
+        let all = self.points.columns();
         let (identities, expressions) = (self.model.identities.len(), self.model.expressions.len());
         let of_joints = identities + expressions;
-        let joints =
-            self.joints.iter().flat_map(|joint| (0..3).map(move |axis| of_joints + 3 * joint + axis));
-        (0..self.identities)
-            .chain((0..self.expressions).map(|e| identities + e))
-            .chain(joints)
-            .chain((0..3).map(|axis| of_joints + 3 * self.model.joints.len() + axis))
-            .collect()
+        let of_joint = |joint: usize| (0..3).map(move |axis| of_joints + 3 * joint + axis);
+        let columns: Vec<usize> = (identities..identities + self.expressions)
+            .chain(self.joints.iter().flat_map(|joint| of_joint(*joint)))
+            .chain(of_joint(self.model.joints.len()))
+            .collect();
+        let axes = DMat3::from_quat(state.joint(0));
+        let (size, slopes) = self.size(state);
+        let (root, mut positions) = (self.shared() + self.expressions, derivatives.positions);
+        let rows =
+            positions.iter_mut().zip(&heads.offsets).enumerate().map(|(landmark, (position, offset))| {
+                let values = &derivatives.values[landmark * all..][..all];
+                let mut row = vec![DVec3::ZERO; self.shared() + self.own()];
+                let turned = axes * *offset;
+                for ((row, value), slope) in row.iter_mut().zip(&values[..self.identities]).zip(&slopes) {
+                    *row = *value + turned * *slope;
+                }
+                let along = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis * size);
+                row[self.identities + 3 * landmark..][..3].copy_from_slice(&along);
+                for (row, column) in row[self.shared()..].iter_mut().zip(&columns) {
+                    *row = values[*column];
+                }
+                // The offset turns with the root.
+                let offset = turned * size;
+                for (row, axis) in row[root..].iter_mut().zip([DVec3::X, DVec3::Y, DVec3::Z]) {
+                    *row += axis.cross(offset);
+                }
+                *position += offset;
+                row
+            });
+        let rows = rows.collect();
+        (positions, rows)
+    }
+
+    /// Where the detector puts the landmarks of a timestep.
+    fn positions(&self, heads: &Heads, timestep: usize) -> Vec<DVec3> {
+        let state = heads.state(timestep);
+        let positions = self.points.positions(state).into_iter();
+        let (size, _) = self.size(state);
+        let offsets = heads.offsets.iter().map(|offset| state.joint(0) * *offset * size);
+        positions.zip(offsets).map(|(position, offset)| position + offset).collect()
+    }
+
+    /// Size of the head, metres, and how it grows with each identity weight.
+    pub fn size(&self, state: &HeadState) -> (f64, Vec<f64>) {
+        self.corners.of(&state.identity)
     }
 
     /// The mean head at rest.
@@ -225,6 +264,15 @@ impl<'a> Problem<'a> {
         }
     }
 
+    /// The mean head at rest, at all timesteps.
+    pub fn heads(&self) -> Heads {
+        Heads {
+            first: 0,
+            states: vec![self.rest(); self.timesteps.len()],
+            offsets: vec![DVec3::ZERO; LANDMARK_COUNT],
+        }
+    }
+
     /// The timestep to begin with: the first one with nearly as many landmarks as the best one.
     pub fn first_timestep(&self) -> usize {
         let counts: Vec<usize> = self.views.iter().map(|views| landmarks_in(views)).collect();
@@ -233,48 +281,36 @@ impl<'a> Problem<'a> {
     }
 
     /// `state` with the pose that fits the landmarks of a timestep best; `None` when no candidate is in front of the cameras.
-    pub fn posed(&self, timestep: usize, state: &HeadState) -> Option<HeadState> {
+    pub fn posed(&self, timestep: usize, state: &HeadState, offsets: &[DVec3]) -> Option<HeadState> {
         let mut best: Option<(f64, HeadState)> = None;
+        let window = Window::one(timestep).rigid();
         for candidate in candidates(&self.points, &self.views[timestep], state) {
-            let mut states = vec![candidate];
-            let noise = self.anneal_from(&mut states, timestep, &Window::one(timestep).rigid());
-            let Some(noise) = noise else { continue };
+            let mut heads = Heads { first: timestep, states: vec![candidate], offsets: offsets.to_vec() };
+            let Some(noise) = self.noise(&heads, &window) else { continue };
+            let noise = self.anneal_with(&mut heads, &window, noise, LEAST_NOISE);
             if best.as_ref().is_none_or(|(least, _)| noise < *least) {
-                best = states.pop().map(|state| (noise, state));
+                best = heads.states.pop().map(|state| (noise, state));
             }
         }
         best.map(|(_, state)| state)
     }
 
-    fn anneal_from(&self, states: &mut [HeadState], first: usize, window: &Window) -> Option<f64> {
-        let noise = self.noise(states, first, window)?;
-        Some(self.anneal_with(states, first, window, noise, LEAST_NOISE))
-    }
-
     /// Solves for the window's parameters, first with the noise that the residuals have, then with less and less: a loss that
     /// forgives far landmarks would otherwise keep them far. Returns the noise at the end, pixels.
-    pub fn anneal(&self, states: &mut [HeadState], window: &Window) -> f64 {
-        let noise = self.noise(states, 0, window).unwrap_or(LEAST_NOISE);
-        self.anneal_with(states, 0, window, noise, LEAST_NOISE)
+    pub fn anneal(&self, heads: &mut Heads, window: &Window) -> f64 {
+        let noise = self.noise(heads, window).unwrap_or(LEAST_NOISE);
+        self.anneal_with(heads, window, noise, LEAST_NOISE)
     }
 
-    /// As [`Problem::anneal`], for states of the timesteps from `first` on.
-    fn anneal_with(
-        &self,
-        states: &mut [HeadState],
-        first: usize,
-        window: &Window,
-        mut noise: f64,
-        least: f64,
-    ) -> f64 {
+    fn anneal_with(&self, heads: &mut Heads, window: &Window, mut noise: f64, least: f64) -> f64 {
         const ROUNDS: usize = 8;
         let least = self.options.noise.unwrap_or(least);
         noise = noise.max(least);
         for _ in 0..ROUNDS {
-            self.optimise(states, first, window, noise);
+            self.optimise(heads, window, noise);
             let now = match self.options.noise {
                 Some(known) if noise <= known => break,
-                _ => self.noise(states, first, window).unwrap_or(least).max(least),
+                _ => self.noise(heads, window).unwrap_or(least).max(least),
             };
             if now > 0.9 * noise && self.options.noise.is_none() {
                 break;
@@ -286,33 +322,34 @@ impl<'a> Problem<'a> {
     }
 
     /// Fits one timestep next to a fitted one. When most landmarks are far from the fit, it starts again from their pose.
-    pub fn track(&self, states: &mut [HeadState], timestep: usize, neighbour: usize, noise: f64) {
+    pub fn track(&self, heads: &mut Heads, timestep: usize, neighbour: usize, noise: f64) {
+        *heads.state_mut(timestep) = heads.state(neighbour).clone();
         if landmarks_in(&self.views[timestep]) == 0 {
             return;
         }
         let window = Window::one(timestep).beside(neighbour);
-        let fitted = |states: &mut [HeadState]| {
-            let now = self.noise(states, 0, &window).unwrap_or(noise);
-            self.anneal_with(states, 0, &window, now.max(noise), noise)
+        let fitted = |heads: &mut Heads| {
+            let now = self.noise(heads, &window).unwrap_or(noise);
+            self.anneal_with(heads, &window, now.max(noise), noise)
         };
-        let reached = fitted(states);
+        let reached = fitted(heads);
         if reached < 3.0 * noise {
             return;
         }
-        let Some(posed) = self.posed(timestep, &states[neighbour]) else { return };
-        let tracked = std::mem::replace(&mut states[timestep], posed);
-        if fitted(states) >= reached {
-            states[timestep] = tracked;
+        let Some(posed) = self.posed(timestep, heads.state(neighbour), &heads.offsets) else { return };
+        let tracked = std::mem::replace(heads.state_mut(timestep), posed);
+        if fitted(heads) >= reached {
+            *heads.state_mut(timestep) = tracked;
         }
     }
 
     /// Standard deviation of the landmarks' coordinates, in pixels, by the median of the residuals; `None` without landmarks.
-    fn noise(&self, states: &[HeadState], first: usize, window: &Window) -> Option<f64> {
+    fn noise(&self, heads: &Heads, window: &Window) -> Option<f64> {
         let mut views = window.range.clone().flat_map(|timestep| &self.views[timestep]);
         let without_contour = views.any(|view| view.landmarks[CONTOUR..].iter().any(Option::is_some));
         let residuals = |timestep: usize| {
-            let residuals = self.residuals(timestep, &states[timestep - first]);
-            let norms = residuals
+            let norms = self
+                .residuals(heads, timestep)
                 .into_iter()
                 .filter(|residual| !without_contour || residual.landmark >= CONTOUR)
                 .map(|r| r.pixels.map_or(f64::INFINITY, |pixels| pixels.length()) / self.factor(r.landmark));
@@ -338,13 +375,13 @@ impl<'a> Problem<'a> {
 
     /// Learns how precise each landmark is from its residuals: some are defined by less than a corner, and a detector may place
     /// them elsewhere than the model does.
-    pub fn weigh_landmarks(&mut self, states: &[HeadState], noise: f64) {
+    pub fn weigh_landmarks(&mut self, heads: &Heads, noise: f64) {
         // With fewer residuals the median says little.
         const ENOUGH: usize = 8;
         const MOST: f64 = 8.0;
         let mut distances = vec![Vec::new(); LANDMARK_COUNT];
-        for (timestep, state) in states.iter().enumerate() {
-            for residual in self.residuals(timestep, state) {
+        for timestep in 0..heads.states.len() {
+            for residual in self.residuals(heads, timestep) {
                 let distance = residual.pixels.map_or(f64::INFINITY, |pixels| pixels.length());
                 distances[residual.landmark].push(distance);
             }
@@ -356,9 +393,24 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// All detected landmarks of a timestep against those of `state`.
-    pub fn residuals(&self, timestep: usize, state: &HeadState) -> Vec<Residual> {
-        let positions = self.points.positions(state);
+    /// Learns how far the detector's landmarks are from the model's, by the evidence (MacKay 1992, "Bayesian interpolation",
+    /// equation 4.9): their sum of squares over how many of them the landmarks determine.
+    pub fn weigh_offsets(&mut self, heads: &Heads, window: &Window, noise: f64) {
+        let (system, _) = self.linearise(heads, window, noise);
+        let Some(step) = system.solve(0.0) else { return };
+        let (shared, before) = (self.shared(), self.offset_deviation);
+        let variances = (self.identities..shared).map(|i| step.shared_covariance[i * shared + i]);
+        let determined: f64 = variances.map(|variance| 1.0 - (variance / (before * before)).min(1.0)).sum();
+        let squares: f64 = heads.offsets.iter().map(|offset| offset.length_squared()).sum();
+        let [least, most] = OFFSET_DEVIATIONS;
+        if determined > 1.0 {
+            self.offset_deviation = (squares / determined).sqrt().clamp(least, most);
+        }
+    }
+
+    /// All detected landmarks of a timestep against the fitted ones.
+    pub fn residuals(&self, heads: &Heads, timestep: usize) -> Vec<LandmarkResidual> {
+        let positions = self.positions(heads, timestep);
         let mut residuals = Vec::new();
         for (view, seen) in self.views[timestep].iter().enumerate() {
             for (landmark, pixel) in seen.landmarks.iter().enumerate() {
@@ -366,23 +418,23 @@ impl<'a> Problem<'a> {
                     let projected = seen.camera.project(positions[landmark]);
                     let pixels =
                         projected.map(|(pixel, _)| pixel - DVec2::new(x, y)).filter(|r| r.is_finite());
-                    residuals.push(Residual { landmark, view, pixels });
+                    residuals.push(LandmarkResidual { landmark, view, pixels });
                 }
             }
         }
         residuals
     }
 
-    /// Levenberg-Marquardt. `states` are those of the timesteps from `first` on.
-    fn optimise(&self, states: &mut [HeadState], first: usize, window: &Window, noise: f64) {
+    /// Levenberg-Marquardt.
+    fn optimise(&self, heads: &mut Heads, window: &Window, noise: f64) {
         const ITERATIONS: usize = 40;
         const ENOUGH: f64 = 1e-6;
         let mut damping = 1e-3;
-        let (mut system, mut cost) = self.linearise(states, first, window, noise);
+        let (mut system, mut cost) = self.linearise(heads, window, noise);
         for _ in 0..ITERATIONS {
-            let moved = system.solve(damping).map(|step| self.moved(states, first, window, &step));
+            let moved = system.solve(damping).map(|step| self.moved(heads, window, &step));
             let lower = moved.and_then(|moved| {
-                let (next, lower) = self.linearise(&moved, first, window, noise);
+                let (next, lower) = self.linearise(&moved, window, noise);
                 (lower < cost).then_some((moved, next, lower))
             });
             let Some((moved, next, lower)) = lower else {
@@ -392,7 +444,7 @@ impl<'a> Problem<'a> {
                 }
                 continue;
             };
-            states.clone_from_slice(&moved);
+            *heads = moved;
             let gain = (cost - lower) / cost;
             (system, cost) = (next, lower);
             damping = (damping / 8.0_f64).max(1e-9);
@@ -403,70 +455,77 @@ impl<'a> Problem<'a> {
     }
 
     /// The normal equations of a window, and the cost.
-    pub fn linearise(
-        &self,
-        states: &[HeadState],
-        first: usize,
-        window: &Window,
-        noise: f64,
-    ) -> (System, f64) {
-        let shared = if window.identity { self.identities } else { 0 };
+    pub fn linearise(&self, heads: &Heads, window: &Window, noise: f64) -> (System, f64) {
+        let shared = if window.identity { self.shared() } else { 0 };
         let own: Vec<usize> = if window.rigid { self.rigid_parameters() } else { (0..self.own()).collect() };
-        let state = |timestep: usize| &states[timestep - first];
-        let terms: Vec<Terms> = window
-            .range
-            .clone()
-            .into_par_iter()
-            .map(|timestep| {
-                let mut terms = self.data(timestep, state(timestep), noise);
-                self.own_priors(state(timestep), &mut terms);
-                let inside = |other: &usize| window.range.contains(other);
-                let before = timestep.checked_sub(1).filter(inside);
-                let after = Some(timestep + 1).filter(inside);
-                // Pairs inside the window are counted once in the cost, with the later of the two.
-                for (other, counted) in [(before, 1.0), (after, 0.0), (window.neighbour, 1.0)] {
-                    if let Some(other) = other {
-                        self.smoothness(state(timestep), state(other), counted, &mut terms);
-                    }
-                }
-                terms
-            })
-            .collect();
-
+        let state = |timestep: usize| heads.state(timestep);
+        let terms = |timestep: usize| {
+            let mut terms = self.data(heads, timestep, noise);
+            let inside = |other: &usize| window.range.contains(other);
+            let before = timestep.checked_sub(1).filter(inside);
+            let after = Some(timestep + 1).filter(inside);
+            // Pairs inside the window are counted once in the cost, with the later of the two.
+            let neighbours = [(before, 1.0), (after, 0.0), (window.neighbour, 1.0)];
+            let neighbours = neighbours.into_iter().filter_map(|(at, counted)| Some((state(at?), counted)));
+            self.add_priors(state(timestep), neighbours, &mut terms);
+            terms
+        };
         let mut system = System {
             shared: vec![0.0; shared * shared],
             shared_gradient: vec![0.0; shared],
-            blocks: Vec::with_capacity(terms.len()),
-            coupling: own.iter().map(|i| self.coupling[*i]).collect(),
+            blocks: Vec::with_capacity(window.range.len()),
+            coupling: own.iter().map(|i| self.coupling(state(window.range.start), *i)).collect(),
         };
         let mut cost = 0.0;
-        let n = self.identities + self.own();
-        for Terms { cost: of_timestep, hessian, gradient } in terms {
-            cost += of_timestep;
-            let entry = |i: usize, j: usize| hessian[i.max(j) * n + i.min(j)];
-            for (i, (sum, value)) in system.shared_gradient.iter_mut().zip(&gradient).enumerate() {
-                *sum += value;
-                for j in 0..shared {
-                    system.shared[i * shared + j] += entry(i, j);
+        let n = self.shared() + self.own();
+        let timesteps: Vec<usize> = window.range.clone().collect();
+        for timesteps in timesteps.chunks(AT_ONCE) {
+            let terms: Vec<Terms> = timesteps.par_iter().map(|timestep| terms(*timestep)).collect();
+            for Terms { cost: of_timestep, hessian, gradient } in terms {
+                cost += of_timestep;
+                let entry = |i: usize, j: usize| hessian[i.max(j) * n + i.min(j)];
+                for (i, (sum, value)) in system.shared_gradient.iter_mut().zip(&gradient).enumerate() {
+                    *sum += value;
+                    for j in 0..shared {
+                        system.shared[i * shared + j] += entry(i, j);
+                    }
                 }
+                let place = |i: &usize| self.shared() + *i;
+                let own = || own.iter().map(place);
+                system.blocks.push(Block {
+                    hessian: own()
+                        .flat_map(|i| own().map(move |j| (i, j)))
+                        .map(|(i, j)| entry(i, j))
+                        .collect(),
+                    cross: own()
+                        .flat_map(|i| (0..shared).map(move |j| (i, j)))
+                        .map(|(i, j)| entry(i, j))
+                        .collect(),
+                    gradient: own().map(|i| gradient[i]).collect(),
+                });
             }
-            let place = |i: &usize| self.identities + *i;
-            let own = || own.iter().map(place);
-            system.blocks.push(Block {
-                hessian: own().flat_map(|i| own().map(move |j| (i, j))).map(|(i, j)| entry(i, j)).collect(),
-                cross: own()
-                    .flat_map(|i| (0..shared).map(move |j| (i, j)))
-                    .map(|(i, j)| entry(i, j))
-                    .collect(),
-                gradient: own().map(|i| gradient[i]).collect(),
-            });
         }
-        let precision = self.options.priors.identity.powi(-2);
-        if let Some(state) = states.first() {
-            for (i, weight) in state.identity.iter().enumerate().take(shared) {
-                cost += weight * weight * precision;
-                system.shared_gradient[i] += weight * precision;
+        if let Some(state) = heads.states.first().filter(|_| window.identity) {
+            let (identity, landmark) = (self.options.priors.identity, self.offset_deviation);
+            let weights = state.identity.iter().map(|weight| (*weight, identity));
+            let offsets = heads.offsets.iter().flat_map(|offset| offset.to_array());
+            for (i, (value, deviation)) in weights.chain(offsets.map(|offset| (offset, landmark))).enumerate()
+            {
+                let precision = deviation.powi(-2);
+                cost += value * value * precision;
+                system.shared_gradient[i] += value * precision;
                 system.shared[i * shared + i] += precision;
+            }
+            if let Some(distance) = self.options.eye_distance {
+                let (found, slopes) = self.pupils.of(&state.identity);
+                let precision = EYE_DISTANCE_DEVIATION.powi(-2);
+                cost += (found - distance).powi(2) * precision;
+                for (i, slope) in slopes.iter().enumerate() {
+                    system.shared_gradient[i] += (found - distance) * slope * precision;
+                    for (j, other) in slopes.iter().enumerate() {
+                        system.shared[i * shared + j] += slope * other * precision;
+                    }
+                }
             }
         }
         (system, cost)
@@ -478,12 +537,12 @@ impl<'a> Problem<'a> {
         (root..root + 3).chain(translation..translation + 3).collect()
     }
 
-    /// The states after a step.
-    fn moved(&self, states: &[HeadState], first: usize, window: &Window, step: &Step) -> Vec<HeadState> {
+    /// The heads after a step.
+    pub fn moved(&self, heads: &Heads, window: &Window, step: &Step) -> Heads {
         let own: Vec<usize> = if window.rigid { self.rigid_parameters() } else { (0..self.own()).collect() };
-        let mut moved = states.to_vec();
+        let mut moved = heads.clone();
         for (timestep, step_of) in window.range.clone().zip(&step.own) {
-            let state = &mut moved[timestep - first];
+            let state = moved.state_mut(timestep);
             let mut full = vec![0.0; self.own()];
             own.iter().zip(step_of).for_each(|(i, value)| full[*i] = *value);
             for (weight, value) in state.expressions.iter_mut().zip(&full) {
@@ -497,30 +556,32 @@ impl<'a> Problem<'a> {
             state.translation += vectors.last().map_or(DVec3::ZERO, |v| DVec3::from_array(*v));
         }
         if window.identity {
-            for state in &mut moved {
+            for state in &mut moved.states {
                 for (weight, value) in state.identity.iter_mut().zip(&step.shared) {
                     *weight += value;
                 }
+            }
+            let (offsets, _) = step.shared[self.identities..].as_chunks::<3>();
+            for (offset, change) in moved.offsets.iter_mut().zip(offsets) {
+                *offset += DVec3::from_array(*change);
             }
         }
         moved
     }
 
     /// The landmarks of a timestep.
-    fn data(&self, timestep: usize, state: &HeadState, noise: f64) -> Terms {
-        let n = self.identities + self.own();
+    fn data(&self, heads: &Heads, timestep: usize, noise: f64) -> Terms {
+        let n = self.shared() + self.own();
         let mut terms = Terms { cost: 0.0, hessian: vec![0.0; n * n], gradient: vec![0.0; n] };
         let views = &self.views[timestep];
         if landmarks_in(views) == 0 {
             return terms;
         }
         let limit = self.options.outlier * self.options.outlier;
-        let all = self.points.columns();
-        let derivatives = self.points.derivatives(state);
-        let columns = self.columns();
+        let (positions, rows) = self.derivatives(heads, timestep);
         let mut along = vec![0.0; 3 * n];
         let mut pulled = vec![0.0; 3 * n];
-        for (landmark, &position) in derivatives.positions.iter().enumerate() {
+        for (landmark, (position, row)) in positions.into_iter().zip(rows).enumerate() {
             // All views of a landmark share its derivatives in the world: they are summed first.
             let (mut information, mut gradient, mut seen) = (DMat3::ZERO, DVec3::ZERO, false);
             let precision = (noise * self.factor(landmark)).powi(-2);
@@ -554,9 +615,7 @@ impl<'a> Problem<'a> {
             if !seen {
                 continue;
             }
-            let row = &derivatives.values[landmark * all..][..all];
-            for (i, column) in columns.iter().enumerate() {
-                let moves = row[*column];
+            for (i, moves) in row.into_iter().enumerate() {
                 terms.gradient[i] += moves.dot(gradient);
                 for (axis, (moves, pull)) in
                     moves.to_array().into_iter().zip((information * moves).to_array()).enumerate()
@@ -575,88 +634,6 @@ impl<'a> Problem<'a> {
         }
         terms
     }
-
-    /// Standard deviations of a fitted joint's rotation about each axis; `None` for the root.
-    pub fn joint_deviations(&self, joint: usize) -> Option<DVec3> {
-        let priors = &self.options.priors;
-        match self.role(joint) {
-            JointRole::Root => None,
-            JointRole::Neck => Some(DVec3::splat(priors.neck)),
-            JointRole::Jaw => Some(DVec3::new(1.0, 0.2, 0.2) * priors.jaw),
-            JointRole::LeftEye | JointRole::RightEye => Some(DVec3::splat(priors.eyes)),
-        }
-    }
-
-    /// Standard deviation of the weight of expression `number`.
-    pub fn expression_deviation(&self, number: usize) -> f64 {
-        self.ranges[number].map_or(self.options.priors.expression, |[low, high]| 0.5 * (high - low))
-    }
-
-    fn own_priors(&self, state: &HeadState, terms: &mut Terms) {
-        let n = self.identities + self.own();
-        for (number, &weight) in state.expressions.iter().enumerate().take(self.expressions) {
-            let i = self.identities + number;
-            let precision = self.expression_deviation(number).powi(-2);
-            terms.add(n, i, weight, precision);
-            if let Some([low, high]) = self.ranges[number] {
-                let beyond = weight - weight.clamp(low, high);
-                if beyond != 0.0 {
-                    terms.add(n, i, beyond, BEYOND.powi(-2));
-                }
-            }
-        }
-        for (number, &joint) in self.joints.iter().enumerate() {
-            let Some(deviations) = self.joint_deviations(joint) else { continue };
-            let vector = state.joint(joint).to_scaled_axis();
-            let mut precision = deviations.recip() * deviations.recip();
-            let mut cost = (vector * vector).dot(precision);
-            let mut pull = vector * precision;
-            if self.role(joint) == JointRole::Jaw && vector.x < 0.0 {
-                cost += (vector.x / BEYOND).powi(2);
-                pull.x += vector.x / (BEYOND * BEYOND);
-                precision.x += BEYOND.powi(-2);
-            }
-            // The vector changes by the inverse of that matrix times the small rotation that is solved for.
-            let slope = rotation_of_axis_angle(vector).inverse();
-            let gradient = slope.transpose() * pull;
-            let hessian = slope.transpose() * DMat3::from_diagonal(precision) * slope;
-            terms.cost += cost;
-            let place = self.identities + self.expressions + 3 * number;
-            for i in 0..3 {
-                terms.gradient[place + i] += gradient[i];
-                for j in 0..=i {
-                    terms.hessian[(place + i) * n + place + j] += hessian.col(j)[i];
-                }
-            }
-        }
-    }
-
-    /// The change between a timestep and a neighbour, whose cost is multiplied by `counted`.
-    fn smoothness(&self, state: &HeadState, other: &HeadState, counted: f64, terms: &mut Terms) {
-        let n = self.identities + self.own();
-        let expressions = state.expressions.iter().zip(&other.expressions).map(|(a, b)| a - b);
-        // To first order in the change between timesteps, its derivatives by both rotations are plus and minus the identity.
-        let turned =
-            |&joint: &usize| (state.joint(joint) * other.joint(joint).inverse()).to_scaled_axis().to_array();
-        let joints = self.joints.iter().flat_map(turned);
-        let moved = (state.translation - other.translation).to_array();
-        let changes = expressions.take(self.expressions).chain(joints).chain(moved);
-        for (i, (change, precision)) in changes.zip(&self.coupling).enumerate() {
-            let place = self.identities + i;
-            terms.cost += counted * change * change * precision;
-            terms.gradient[place] += change * precision;
-            terms.hessian[place * n + place] += precision;
-        }
-    }
-}
-
-impl Terms {
-    /// Adds the square of `residual`, whose derivative by parameter `i` is 1, times `precision`.
-    fn add(&mut self, n: usize, i: usize, residual: f64, precision: f64) {
-        self.cost += residual * residual * precision;
-        self.gradient[i] += residual * precision;
-        self.hessian[i * n + i] += precision;
-    }
 }
 
 /// Number of detected landmarks.
@@ -664,15 +641,21 @@ pub(super) fn landmarks_in(views: &[&LandmarkView]) -> usize {
     views.iter().map(|view| view.landmarks.iter().flatten().count()).sum()
 }
 
-/// The range of weights of each expression that an action unit is made of: from zero to its weight at full intensity. Components have none.
-fn ranges(model: &HeadModel, count: usize) -> Vec<Option<[f64; 2]>> {
-    let mut ranges: Vec<Option<[f64; 2]>> = vec![None; model.expressions.len()];
-    let units = model.action_units.iter().filter(|_| !model.expressions_are_components);
-    for &(expression, weight) in units.flat_map(|unit| &unit.expressions) {
-        let [low, high] = ranges[expression].get_or_insert([0.0; 2]);
-        (*low, *high) = (low.min(f64::from(weight)), high.max(f64::from(weight)));
+/// A distance between two places on the head at rest, as a vector from one to the other.
+#[derive(Default)]
+pub(super) struct DistanceAtRest {
+    /// Of the mean head.
+    pub mean: DVec3,
+    /// What each identity weight adds.
+    shapes: Vec<DVec3>,
+}
+
+impl DistanceAtRest {
+    /// Its length, and how that grows with each identity weight.
+    fn of(&self, identity: &[f64]) -> (f64, Vec<f64>) {
+        let weighted = self.shapes.iter().zip(identity).map(|(shape, weight)| *shape * *weight);
+        let apart = self.mean + weighted.sum::<DVec3>();
+        let along = apart.normalize_or_zero();
+        (apart.length(), self.shapes.iter().map(|shape| shape.dot(along)).collect())
     }
-    ranges.truncate(count);
-    // An action unit may list an expression with the weight zero.
-    ranges.into_iter().map(|range| range.filter(|[low, high]| high > low)).collect()
 }

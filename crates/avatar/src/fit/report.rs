@@ -3,11 +3,10 @@
 use glam::DVec3;
 use serde::Serialize;
 
-use super::problem::{Problem, Window, landmarks_in};
+use super::problem::{EYE_CORNERS, Heads, Problem, Window, landmarks_in};
 use crate::capture::LANDMARK_COUNT;
 use srflow_core::dense::{inverse, product, subtract_transposed_product};
 use srflow_core::median;
-use srflow_head::HeadState;
 
 /// How well a fit explains its landmarks, and what they determine.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -68,6 +67,10 @@ pub struct Reach {
     pub across: f64,
     /// Distance between the outer corners of the eyes, metres, which is the scale of the head; and its standard deviation.
     pub eye_corners: [f64; 2],
+    /// The largest identity weight, and the root of the mean square of all, in standard deviations of the prior. Where the model can
+    /// be this head, they are about 2.5 and at most 1.
+    pub largest_identity: f64,
+    pub typical_identity: f64,
     /// Number of fitted identity weights, and names of those that the prior determines.
     pub identities: usize,
     pub unknown_identities: Vec<String>,
@@ -78,12 +81,9 @@ pub struct Reach {
     pub unknown_joints: Vec<String>,
 }
 
-/// Landmarks of the outer corners of the eyes.
-const EYE_CORNERS: [usize; 2] = [36, 45];
-
 impl Problem<'_> {
-    /// What the fit `states` explains, with the reach at the timestep of index `at`.
-    pub fn report(&self, states: &[HeadState], at: usize, noise: f64) -> FitReport {
+    /// What the fit explains, with the reach at the timestep of index `at`.
+    pub fn report(&self, heads: &Heads, at: usize, noise: f64) -> FitReport {
         let mut report = FitReport {
             noise,
             landmarks: 0,
@@ -93,7 +93,7 @@ impl Problem<'_> {
             by_landmark: vec![[0; 2]; LANDMARK_COUNT],
             suspect_views: Vec::new(),
             empty_timesteps: Vec::new(),
-            reach: self.reach(states, at, noise),
+            reach: self.reach(heads, at, noise),
         };
         let mut distances: std::collections::BTreeMap<u32, (CameraFit, Vec<f64>)> = Default::default();
         for (index, (&timestep, views)) in self.timesteps.iter().zip(&self.views).enumerate() {
@@ -104,7 +104,7 @@ impl Problem<'_> {
                 .iter()
                 .map(|view| ViewFit { timestep, camera_index: view.camera_index, landmarks: 0, outliers: 0 })
                 .collect();
-            for residual in self.residuals(index, &states[index]) {
+            for residual in self.residuals(heads, index) {
                 let distance = residual.pixels.map_or(f64::INFINITY, |pixels| pixels.length());
                 let limit = self.options.outlier * noise * self.factor(residual.landmark);
                 let outlier = usize::from(distance > limit);
@@ -140,18 +140,15 @@ impl Problem<'_> {
         report
     }
 
-    fn reach(&self, states: &[HeadState], at: usize, noise: f64) -> Reach {
-        let (s, d) = (self.identities, self.own());
-        let state = &states[at];
-        let covariance = self.covariance(states, at, noise);
+    fn reach(&self, heads: &Heads, at: usize, noise: f64) -> Reach {
+        let (s, d) = (self.shared(), self.own());
+        let covariance = self.covariance(heads, at, noise);
         let variance = |i: usize| covariance.as_ref().map_or(f64::INFINITY, |c| c[i * (s + d) + i]);
         let by_prior = |i: usize, deviation: f64| variance(i) > 0.5 * deviation * deviation;
 
-        let derivatives = self.points.derivatives(state);
-        let (all, columns) = (self.points.columns(), self.columns());
-        let row = |landmark: usize| -> Vec<DVec3> {
-            columns.iter().map(|column| derivatives.values[landmark * all + column]).collect()
-        };
+        let (positions, mut rows) = self.derivatives(heads, at);
+        // Of the head, not of where the detector puts its landmarks.
+        rows.iter_mut().for_each(|row| row[self.identities..s].fill(DVec3::ZERO));
         let deviation = |slopes: Vec<f64>| {
             covariance.as_ref().map_or(f64::INFINITY, |c| {
                 let carried = product(c, &slopes, s + d, 1);
@@ -159,9 +156,9 @@ impl Problem<'_> {
             })
         };
         let mut mean = vec![DVec3::ZERO; s + d];
-        for landmark in 0..LANDMARK_COUNT {
-            for (sum, value) in mean.iter_mut().zip(row(landmark)) {
-                *sum += value / LANDMARK_COUNT as f64;
+        for row in &rows {
+            for (sum, value) in mean.iter_mut().zip(row) {
+                *sum += *value / LANDMARK_COUNT as f64;
             }
         }
         let views = &self.views[at];
@@ -174,11 +171,16 @@ impl Problem<'_> {
         let [x, y, depth] = axes.map(|axis| deviation(mean.iter().map(|slope| slope.dot(axis)).collect()));
 
         let [right, left] = EYE_CORNERS;
-        let apart = derivatives.positions[left] - derivatives.positions[right];
+        let turned = heads.states[at].joint(0);
+        let (size, _) = self.size(&heads.states[at]);
+        let corner = |landmark: usize| positions[landmark] - turned * heads.offsets[landmark] * size;
+        let apart = corner(left) - corner(right);
         let along = apart.normalize_or_zero();
-        let slopes = row(left).into_iter().zip(row(right)).map(|(left, right)| (left - right).dot(along));
+        let slopes = rows[left].iter().zip(&rows[right]).map(|(left, right)| (*left - *right).dot(along));
         let of_corners = deviation(slopes.collect());
 
+        let weights =
+            || heads.states[at].identity.iter().map(|weight| weight.abs() / self.options.priors.identity);
         let name = |shapes: &[srflow_head::Shape], number: usize| shapes[number].name.clone();
         let identity = self.options.priors.identity;
         let unknown = |joint: usize, place: usize| {
@@ -192,8 +194,12 @@ impl Problem<'_> {
             depth,
             across: x.max(y),
             eye_corners: [apart.length(), of_corners],
-            identities: s,
-            unknown_identities: (0..s)
+            largest_identity: weights().fold(0.0, f64::max),
+            typical_identity: (weights().map(|weight| weight * weight).sum::<f64>()
+                / self.identities.max(1) as f64)
+                .sqrt(),
+            identities: self.identities,
+            unknown_identities: (0..self.identities)
                 .filter(|i| by_prior(*i, identity))
                 .map(|i| name(&self.model.identities, i))
                 .collect(),
@@ -211,11 +217,12 @@ impl Problem<'_> {
 
     /// Covariance of identity and of one timestep's parameters. All timesteps count for the identity, neighbours not for the pose;
     /// `None` when it is not determined at all.
-    fn covariance(&self, states: &[HeadState], at: usize, noise: f64) -> Option<Vec<f64>> {
-        let (s, d) = (self.identities, self.own());
-        let (whole, _) = self.linearise(states, 0, &Window::all(states.len()).with_identity(), noise);
+    fn covariance(&self, heads: &Heads, at: usize, noise: f64) -> Option<Vec<f64>> {
+        let (s, d) = (self.shared(), self.own());
+        let all = Window::all(heads.states.len()).with_identity();
+        let (whole, _) = self.linearise(heads, &all, noise);
         let of_identity = whole.solve(0.0)?.shared_covariance;
-        let (one, _) = self.linearise(states, 0, &Window::one(at).with_identity(), noise);
+        let (one, _) = self.linearise(heads, &Window::one(at).with_identity(), noise);
         let block = one.blocks.first()?;
         // The precision whose marginal of the identity is that of all timesteps: its inverse plus what the pose takes away.
         let mut identity = inverse(of_identity, s)?;

@@ -159,6 +159,27 @@ impl TrainConfig {
         }
     }
 
+    /// The same training in another number of iterations: what happens at an iteration, or every so many, does so at the same share
+    /// of the whole. The adjustment is that of gsplat's `steps_scaler`.
+    pub fn over(mut self, iterations: u64) -> Self {
+        let ratio = iterations as f64 / self.iterations.max(1) as f64;
+        let RateSchedule { position_steps, .. } = &mut self.rates;
+        let DensityControl { from, until, interval, reset_interval, .. } = &mut self.density;
+        for at in [&mut self.sh_interval, position_steps, from, until, interval, reset_interval] {
+            // Zero is never.
+            if *at > 0 {
+                *at = ((*at as f64 * ratio).round() as u64).max(1);
+            }
+        }
+        Self { iterations, ..self }
+    }
+
+    /// Whether opacities are reset after an iteration. In the last quarter they are not, unless `faithful`: they would not recover.
+    pub(super) fn resets_opacities(&self, iteration: u64) -> bool {
+        let recovers = self.faithful || 4 * u128::from(iteration) <= 3 * u128::from(self.iterations);
+        recovers && self.density.resets(iteration, self.background == [1.0; 3])
+    }
+
     /// The colour behind the head in an iteration.
     pub(super) fn background_at(&self, iteration: u64) -> [f32; 3] {
         if !self.random_background {
@@ -215,6 +236,29 @@ mod tests {
         let mut config = TrainConfig::default();
         config.density.small = f32::NAN;
         assert!(config.check().is_err());
+    }
+
+    #[test]
+    fn a_shorter_training_does_the_same_at_the_same_share_of_it() {
+        let config: TrainConfig = srflow_files::read_settings("cpu".as_ref(), crate::train::PRESETS).unwrap();
+        let short = config.over(500);
+        assert_eq!((short.iterations, short.sh_interval, short.rates.position_steps), (500, 50, 500));
+        let DensityControl { from, until, interval, reset_interval, .. } = short.density;
+        assert_eq!((from, until, interval, reset_interval), (25, 250, 5, 125));
+        assert_eq!(config.over(config.iterations), config);
+        assert_eq!(TrainConfig { sh_interval: 0, ..config }.over(3).sh_interval, 0);
+        assert_eq!(config.over(3).density.interval, 1);
+    }
+
+    #[test]
+    fn opacities_have_a_quarter_of_the_training_to_recover() {
+        for config in [TrainConfig::default(), TrainConfig::default().over(3000)] {
+            let resets = |iteration: &u64| config.resets_opacities(*iteration);
+            let last = (1..=config.iterations).rev().find(resets).expect("a reset");
+            assert!(4 * last <= 3 * config.iterations, "{last} of {}", config.iterations);
+        }
+        let faithful = TrainConfig { faithful: true, ..TrainConfig::default() };
+        assert!(faithful.resets_opacities(540_000) && !TrainConfig::default().resets_opacities(540_000));
     }
 
     #[test]

@@ -44,7 +44,7 @@ pub struct DensityControl {
     pub large: f32,
     /// Gaussians of a lower opacity are removed.
     pub least_opacity: f32,
-    /// All opacities are lowered at multiples of this.
+    /// All opacities are lowered at multiples of this, but not in the last quarter of a training that is not `faithful`.
     pub reset_interval: u64,
     /// To this at most.
     pub reset_opacity: f32,

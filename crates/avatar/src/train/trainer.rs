@@ -402,10 +402,10 @@ impl Trainer {
 
     /// Lowers the opacities if they are due; returns whether.
     fn reset_opacities(&mut self, iteration: u64) -> bool {
-        let control = self.config.density;
-        let due = control.resets(iteration, self.config.background == [1.0; 3]);
+        let due = self.config.resets_opacities(iteration);
         if due {
-            self.adam.reset_opacities(self.avatar.bound_mut().local_mut(), control.reset_opacity);
+            let opacity = self.config.density.reset_opacity;
+            self.adam.reset_opacities(self.avatar.bound_mut().local_mut(), opacity);
         }
         due
     }

@@ -17,6 +17,8 @@ pub struct Capture {
     pub outliers: f64,
     /// Share of landmarks without a position.
     pub missing: f64,
+    /// Standard deviation along each axis of where the detector puts landmarks on the head, from where the model has them; metres.
+    pub offsets: f64,
 }
 
 /// Cameras in front of the head at the origin, as wide as NeRSemble's and 1.1 m away; one camera is in front.
@@ -59,9 +61,14 @@ pub fn capture(model: &HeadModel, made: Capture) -> (Vec<LandmarkView>, Vec<Head
         state
     };
     let states: Vec<HeadState> = (0..made.timesteps).map(state).collect();
+    let mut offset = key.stream("offsets");
+    let offsets: Vec<DVec3> = (0..68)
+        .map(|_| DVec3::from_array([0; 3].map(|_| f64::from(offset.normal()))) * made.offsets)
+        .collect();
     let mut views = Vec::new();
     for (timestep, state) in (0..).zip(&states) {
-        let positions = points.positions(state);
+        let at = points.positions(state).into_iter().zip(&offsets);
+        let positions: Vec<DVec3> = at.map(|(at, offset)| at + state.joint(0) * *offset).collect();
         for (camera_index, camera) in (0..).zip(cameras(made.cameras)) {
             let pixels: Vec<[f64; 2]> =
                 positions.iter().map(|p| camera.project(*p).expect("in front").0.to_array()).collect();

@@ -1,6 +1,7 @@
 //! Fitting a head model to landmarks.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -60,6 +61,11 @@ pub struct FitJob {
     #[arg(long, value_name = "PIXELS")]
     #[serde(default)]
     pub noise: Option<f64>,
+    /// Distance between the pupils in millimetres, about 63 in adults; gives the scale that a single camera
+    /// cannot see
+    #[arg(long, value_name = "MM")]
+    #[serde(default)]
+    pub eye_distance: Option<f64>,
     /// Fit at most this many shapes of the identity basis
     #[arg(long, value_name = "N", default_value_t = default_identities())]
     #[serde(default = "default_identities")]
@@ -89,6 +95,13 @@ fn default_identities() -> usize {
 fn default_expressions() -> usize {
     FitOptions::default().expressions
 }
+
+/// Distances between pupils of people.
+const EYE_DISTANCES_MM: RangeInclusive<f64> = 30.0..=100.0;
+
+/// Identity weights of a head that the model finds likely are not larger.
+const LIKELY_WEIGHT: f64 = 4.0;
+const LIKELY_MEAN: f64 = 1.5;
 
 /// Landmarks of one camera, written `CAMERA=FILE`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -134,6 +147,8 @@ pub struct Fitted {
     pub report: FitReport,
     #[serde(skip)]
     has_truth: bool,
+    #[serde(skip)]
+    eye_distance: Option<f64>,
     /// `None` without a true head, or where that has another mesh.
     pub mesh_error: Option<MeshError>,
 }
@@ -150,6 +165,10 @@ impl Job for FitJob {
         if let Some(noise) = self.noise.filter(|noise| !(*noise > 0.0 && noise.is_finite())) {
             let (field, expected) = ("noise", "a number of pixels above 0".to_owned());
             return Err(SettingError { field, found: noise.to_string(), expected }.into());
+        }
+        if let Some(distance) = self.eye_distance.filter(|distance| !EYE_DISTANCES_MM.contains(distance)) {
+            let expected = "a distance between the pupils from 30 to 100 mm".to_owned();
+            return Err(SettingError { field: "eye_distance", found: distance.to_string(), expected }.into());
         }
         if self.landmarks.is_some() && !self.landmarks_of.is_empty() {
             wrong_settings!("`landmarks` and `landmarks_of` cannot be used together");
@@ -181,6 +200,7 @@ impl Job for FitJob {
         let options = FitOptions {
             identities: self.identities,
             expressions: self.expressions,
+            eye_distance: self.eye_distance.map(|millimetres| millimetres / 1000.0),
             noise: self.noise,
             ..FitOptions::default()
         };
@@ -227,6 +247,7 @@ impl Job for FitJob {
             origin: origin.to_array(),
             report: fitted.report,
             has_truth: truth.is_some(),
+            eye_distance: self.eye_distance,
             mesh_error,
         };
         write_file(&self.out.join(FIT_NAME), serde_json::to_string_pretty(&report)? + "\n")?;
@@ -317,7 +338,7 @@ impl fmt::Display for Fitted {
                 .map(|view| format!("{:05}_{:02}", view.timestep, view.camera_index));
             writeln!(f, "Most landmarks are outliers in pictures {}", listed(&names.collect::<Vec<_>>()))?;
         }
-        write_reach(f, &report.reach)?;
+        write_reach(f, &report.reach, self.eye_distance)?;
         if let Some(error) = &self.mesh_error {
             writeln!(f)?;
             write_tables(f, &[mesh_table(error)])?;
@@ -334,7 +355,7 @@ impl fmt::Display for Fitted {
     }
 }
 
-fn write_reach(f: &mut fmt::Formatter, reach: &Reach) -> fmt::Result {
+fn write_reach(f: &mut fmt::Formatter, reach: &Reach, eye_distance: Option<f64>) -> fmt::Result {
     let Reach { timestep, cameras, depth, across, eye_corners: [corners, deviation], .. } = reach;
     let millimetres = |metres: f64| 1000.0 * metres;
     writeln!(
@@ -346,10 +367,17 @@ fn write_reach(f: &mut fmt::Formatter, reach: &Reach) -> fmt::Result {
         millimetres(*corners),
         millimetres(*deviation)
     )?;
-    if *cameras == 1 {
+    if reach.largest_identity > LIKELY_WEIGHT || reach.typical_identity > LIKELY_MEAN {
         writeln!(
             f,
-            "One camera sees no scale: size and distance of the head follow from what heads the model finds likely."
+            "The model finds this head unlikely: identity weights of up to {:.1} standard deviations, {:.1} on average. Do not trust              its shape, nor these numbers. Check the focal length; fit fewer shapes (`identities`) or give `eye_distance`.",
+            reach.largest_identity, reach.typical_identity
+        )?;
+    }
+    if *cameras == 1 && eye_distance.is_none() {
+        writeln!(
+            f,
+            "One camera sees no scale: size and distance of the head follow from what heads the model finds likely. If you know the              distance between the pupils, give `eye_distance`."
         )?;
     }
     for (what, unknown, of) in [

@@ -100,7 +100,7 @@ impl Default for TrainJob {
 #[command(next_help_heading = "Overriding the configuration")]
 #[group(multiple = true)]
 pub struct Overrides {
-    /// Number of iterations, one picture each
+    /// Number of iterations, one picture each; all that the configuration schedules moves along
     #[arg(long, value_name = "N")]
     pub iterations: Option<u64>,
     /// Random seed
@@ -132,10 +132,12 @@ fn config_help() -> String {
 impl Overrides {
     /// The configuration with these settings.
     fn apply(&self, mut config: TrainConfig) -> Result<TrainConfig, SettingsError> {
+        if let Some(iterations) = self.iterations {
+            config = config.over(iterations);
+        }
         let text = |number: Option<u64>| number.map(|number| number.to_string());
         let switch = |given: bool| given.then(|| "true".to_owned());
         let single = [
-            ("iterations", text(self.iterations)),
             ("seed", text(self.seed)),
             ("density.strategy", self.strategy.clone()),
             ("antialiased", switch(self.antialiased)),
@@ -398,6 +400,14 @@ impl<'a> Iterations<'a> {
         log::info!(
             "{training} pictures for training, {camera} of a held-out camera, {timesteps} of held-out timesteps"
         );
+        let without_mask = capture.of(CaptureSplit::Train).filter(|view| view.mask.is_none()).count();
+        if without_mask > 0 {
+            log::warn!(
+                "{without_mask} of {training} pictures have no mask: what is behind the head is learned as part of it, and \
+                 `random_background` and `apply_masks` do nothing there. Give masks to `avatar import`, or take the pictures before a \
+                 wall of the colour `background`"
+            );
+        }
         let gaussians = trainer.avatar().bound().len();
         log::info!(
             "{gaussians} Gaussians on the head model {}, {iterations} iterations, from iteration {}",

@@ -11,6 +11,8 @@ STRIDE = 2
 COARSEST_STRIDE = 32
 WIDTHS = (32, 64, 96, 128, 160)
 STATE = 32
+SEEN_CELLS = 8.0
+WORSE_FACTOR, WORSE_BY, AROUND = 1.1, 0.01, 4
 OUTPUTS = 7
 EVIDENCE = 8
 NOISE = 1.4e-4
@@ -77,6 +79,55 @@ def convex_upsample(flow, mask):
     return (weights * around).sum(2).permute(0, 1, 4, 2, 5, 3).reshape(batch, 2, 2 * height, 2 * width)
 
 
+def without_lattice(flow):
+    return F.avg_pool2d(F.avg_pool2d(F.pad(flow, (1, 1, 1, 1), mode="replicate"), 2, 1), 2, 1)
+
+
+def in_pixels(flow):
+    return resized_flow(flow, [2 * side for side in flow.shape[2:]])
+
+
+def seen_flow(flow):
+    return flow / (1 + (flow / SEEN_CELLS) ** 2).sqrt()
+
+
+class Explained:
+    """A flow in cells, and how far frame 1 is from frame 2 warped by it around each cell."""
+
+    def __init__(self, flow, warped, residual):
+        self.flow, self.warped, self.residual = flow, warped, residual
+
+    @classmethod
+    def by(cls, first, second, flow):
+        warped = warp(second, in_pixels(flow))
+        return cls(flow, warped, residual(first, warped))
+
+    def or_before(self, before):
+        worse = is_worse(self.residual, before.residual)
+        return Explained(
+            torch.where(worse, before.flow, self.flow),
+            torch.where(pixels(worse), before.warped, self.warped),
+            torch.minimum(self.residual, before.residual),
+        )
+
+    def or_flow(self, first, second, found):
+        worse = is_worse(residual(first, warp(second, found)), self.residual)
+        return torch.where(pixels(worse), in_pixels(self.flow), found)
+
+
+def residual(first, warped):
+    of_cells = F.avg_pool2d((first - warped).abs().mean(1, keepdim=True), 2)
+    return F.avg_pool2d(of_cells, 2 * AROUND + 1, 1, AROUND, count_include_pad=False)
+
+
+def is_worse(residual, before):
+    return residual > WORSE_FACTOR * before + WORSE_BY
+
+
+def pixels(x):
+    return x.repeat_interleave(2, 2).repeat_interleave(2, 3)
+
+
 class Step(nn.Module):
     def __init__(self, inputs, outputs):
         super().__init__()
@@ -91,20 +142,19 @@ class SrFlow(nn.Module):
         super().__init__()
         self.iters = 2
         levels = list(zip(WIDTHS, WIDTHS[1:]))
-        self.enter = conv(12 + 4 + EVIDENCE + 12 + EVIDENCE + 2 + STATE, WIDTHS[0])
+        self.enter = conv(12 + 4 + EVIDENCE + 12 + EVIDENCE + 2, WIDTHS[0])
         self.down = nn.ModuleList(Step(fine, coarse) for fine, coarse in levels)
         self.up = nn.ModuleList(conv(coarse + fine + 2, fine) for fine, coarse in levels)
         self.predict = nn.ModuleList(conv(channels, OUTPUTS) for channels in WIDTHS)
         self.evidence = conv(STATE, 2)
         self.mask = conv(STATE, 36)
 
-    def corrected(self, first, second, flow, state):
-        warped = warp(second, resized_flow(flow, first.shape[2:]))
+    def corrected(self, first, second, flow, warped):
         evidence = lucas_kanade(first, warped)
         still = (first - second).mean(1, keepdim=True)
         still = [cells(first), cells(DIFFERENCE_SCALE * still), lucas_kanade(first, second)]
         frames = [*still, cells(DIFFERENCE_SCALE * (first - warped))]
-        maps = [leaky(self.enter(torch.cat([*frames, evidence, flow, state], 1)))]
+        maps = [leaky(self.enter(torch.cat([*frames, evidence, seen_flow(flow)], 1)))]
         starts = [flow]
         for step in self.down:
             maps.append(step(maps[-1]))
@@ -114,11 +164,11 @@ class SrFlow(nn.Module):
             start = starts[level]
             if found:
                 coarser = twice(flow)
-                state = leaky(self.up[level](torch.cat([twice(state), maps[level], coarser - start], 1)))
+                state = leaky(self.up[level](torch.cat([twice(state), maps[level], seen_flow(coarser - start)], 1)))
             else:
                 coarser, state = torch.zeros_like(start), maps[level]
             predicted = self.predict[level](state)
-            share, change, mixture = predicted[:, :1].tanh(), predicted[:, 1:3], predicted[:, 3:]
+            share, change, mixture = predicted[:, :1].tanh().relu(), predicted[:, 1:3], predicted[:, 3:]
             flow = (1 - share) * start + share * coarser + change
             found.append((flow, mixture))
         shares = self.evidence(state).tanh()
@@ -136,15 +186,20 @@ class SrFlow(nn.Module):
         size = first.shape[2:]
         inside = (slice(None), slice(None), slice(top, top + height), slice(left, left + width))
         flow = inputs["start"]
-        state = torch.zeros(len(images), STATE, *flow.shape[2:])
-        flows, mixtures = [], []
+        estimates = not torch.is_grad_enabled()
+        flows, mixtures, kept = [], [], None
         for _ in range(self.iters):
-            found, state = self.corrected(first, second, flow.detach(), state)
+            explained = Explained.by(first, second, flow.detach())
+            kept = explained.or_before(kept) if kept and estimates else explained
+            found, state = self.corrected(first, second, kept.flow, kept.warped)
             for flow, mixture in found[:-1:2]:
                 flows.append(STRIDE * resized(flow, size)[inside])
                 mixtures.append(resized(mixture, size)[inside])
             flow, mixture = found[-1]
-            flows.append(convex_upsample(flow, self.mask(state))[inside])
+            upsampled = without_lattice(convex_upsample(flow, self.mask(state)))
+            if estimates:
+                upsampled = kept.or_flow(first, second, upsampled)
+            flows.append(upsampled[inside])
             mixtures.append(resized(mixture, size)[inside])
         return {
             "flows": flows[-1][:, None],

@@ -4,12 +4,17 @@
 //! the outline. It also sees what the method of Lucas and Kanade finds between frame 1 and the warped frame 2, and decides how much
 //! of that to add. The last correction of small frames is at twice their size. `tools/parity/srflow_net.py` is the same in
 //! PyTorch, but for the start and for what is done in small and in large frames.
+//!
+//! A correction depends on the frames and on the flow that it corrects alone, its inputs are bounded, and it cannot enlarge a flow: it
+//! blends flows, and adds a bounded change. So any number of corrections is safe. What explains the frames clearly worse than an earlier
+//! flow does is undone, see [`Explained`].
 
 use std::sync::LazyLock;
 
 use burn::module::Module;
+use burn::tensor::activation::relu;
 use burn::tensor::module::avg_pool2d;
-use burn::tensor::ops::AvgPoolOptions;
+use burn::tensor::ops::{AvgPoolOptions, PadMode};
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use srflow_classical::{TvL1, TvL1Parameters};
@@ -39,7 +44,7 @@ pub(crate) const STRIDE: usize = 2;
 pub(crate) const WIDTHS: [usize; 5] = [32, 64, 96, 128, 160];
 /// Pixels of the frame per pixel of the coarsest map.
 const COARSEST_STRIDE: usize = STRIDE << (WIDTHS.len() - 1);
-/// Channels that a correction hands to the next one.
+/// Channels at the finest size.
 pub(crate) const STATE: usize = WIDTHS[0];
 /// Windows of the evidence.
 pub(crate) const WINDOWS: usize = 2;
@@ -51,21 +56,32 @@ const OUTPUTS: usize = 1 + 2 + MIXTURE;
 const PIXELS: usize = 3 * STRIDE * STRIDE;
 /// What a correction sees of the frames as they are, see [`still`].
 const STILL: usize = PIXELS + STRIDE * STRIDE + LucasKanade::OUTPUTS;
-/// What it sees: that, the difference from the warped frame 2, the evidence, the flow and the state.
-const SEEN: usize = STILL + PIXELS + LucasKanade::OUTPUTS + 2 + STATE;
+/// What it sees: that, the difference from the warped frame 2, the evidence and the flow.
+const SEEN: usize = STILL + PIXELS + LucasKanade::OUTPUTS + 2;
+/// The network sees flows up to this many cells; to it, longer ones are of this length.
+pub(crate) const SEEN_CELLS: f64 = 8.0;
 /// Scale of differences of frames, which are small where the flow is nearly right.
 pub(crate) const DIFFERENCE_SCALE: f64 = 4.0;
 /// What brightness says about the remaining motion. The noise is the square of about 1.5 of 255 levels.
 pub(crate) const EVIDENCE: LucasKanade = LucasKanade { radii: [1, 3], noise: 1.4e-4, reach: 2.0 };
 /// As [`LaplaceMixture::LOG_SCALE_RANGE`]: errors are small parts of a pixel.
 pub(crate) const LOG_SCALE_RANGE: [f64; 2] = [-2.3, 10.0];
+/// Initial weight of a cell that bilinear interpolation leaves out; it can be learned.
+const NOT_BILINEAR: f32 = 1.0 / 128.0;
 /// Weights of red, green and blue in luminance.
 const LUMINANCE: [f32; 3] = [0.299, 0.587, 0.114];
+/// A flow is clearly worse where its residual is more than this much of the other's, and this much, in frames from -1 to 1.
+pub(crate) const WORSE_FACTOR: f64 = 1.1;
+pub(crate) const WORSE_BY: f64 = 0.01;
+/// Cells to each side whose residuals are averaged.
+pub(crate) const AROUND: usize = 4;
 /// More warps hardly change the flow of faces, and fit more of the noise of backgrounds.
 const WARPS: usize = 2;
-static TV_L1: LazyLock<TvL1> = LazyLock::new(|| tv_l1(TvL1Parameters::default().nscales));
+/// Down to a sixth of the half size, for motion of tens of pixels. The coarse scales take little time.
+const SCALES: usize = 9;
+static TV_L1: LazyLock<TvL1> = LazyLock::new(|| tv_l1(SCALES));
 /// At the size of the frames, with a coarsest scale like that of [`TV_L1`].
-static FINE_TV_L1: LazyLock<TvL1> = LazyLock::new(|| tv_l1(TvL1Parameters::default().nscales + 3));
+static FINE_TV_L1: LazyLock<TvL1> = LazyLock::new(|| tv_l1(SCALES + 3));
 
 fn tv_l1(nscales: usize) -> TvL1 {
     let parameters = TvL1Parameters { nscales, warps: WARPS, ..Default::default() };
@@ -81,7 +97,7 @@ pub(crate) const SRFLOW: Entry<SrFlow> = Entry {
     facts: Facts {
         name: "srflow",
         title: "srflow",
-        parameters: 1_582_153,
+        parameters: 1_572_937,
         padding: COARSEST_STRIDE,
         smallest_side: 2 * COARSEST_STRIDE,
         iterations: IterationPresets { default: 2, authors: 2, training: 2 },
@@ -147,6 +163,23 @@ fn prediction(channels: usize, outputs: usize, device: &Device) -> Conv2d {
         .init(device)
 }
 
+/// Weights of upsampling that are bilinear at first: random ones repeat in each cell, and so draw a lattice into the flow.
+fn bilinear_mask(device: &Device) -> Conv2d {
+    // Of the cell before, the one of the pixel, and the one after, for the first pixel of a cell and for the second.
+    let along = [[0.25_f32, 0.75, NOT_BILINEAR], [NOT_BILINEAR, 0.75, 0.25]];
+    let mut scores = Vec::with_capacity(9 * STRIDE * STRIDE);
+    for neighbour in 0..9 {
+        for pixel in 0..STRIDE * STRIDE {
+            let weight = along[pixel / STRIDE][neighbour / 3] * along[pixel % STRIDE][neighbour % 3];
+            scores.push(weight.ln());
+        }
+    }
+    Conv2dConfig::new([STATE, 9 * STRIDE * STRIDE], [3, 3])
+        .with_initializer(Initializer::Zeros)
+        .with_bias_initializer(Initializer::Values { values: scores })
+        .init(device)
+}
+
 impl Step {
     fn new(inputs: usize, outputs: usize, device: &Device) -> Self {
         Self { down: conv(inputs, outputs, 2, device), same: conv(outputs, outputs, 1, device) }
@@ -166,7 +199,7 @@ impl SrFlow {
             up: levels().map(|(fine, coarse)| conv(coarse + fine + 2, fine, 1, device)).collect(),
             predict: WIDTHS.map(|channels| prediction(channels, OUTPUTS, device)).into(),
             evidence: prediction(STATE, WINDOWS, device),
-            mask: conv(STATE, 9 * STRIDE * STRIDE, 1, device),
+            mask: bilinear_mask(device),
             fine_up_to: FINE_UP_TO,
         }
     }
@@ -174,32 +207,29 @@ impl SrFlow {
     /// The flow of an estimate in pixels, `[batch, 2, height, width]`.
     fn upsampled(&self, found: &Found) -> Tensor<4> {
         let weights = self.mask.forward(found.state.clone(), Identity);
-        convex_upsample(found.flow.clone(), weights, 1.0, STRIDE)
+        without_lattice(convex_upsample(found.flow.clone(), weights, 1.0, STRIDE))
     }
 
     /// `flow`, in pixels, corrected once at twice the size of the frames, where a cell is a pixel.
     fn finer(&self, frames: [&Tensor<4>; 2], flow: Tensor<4>) -> Tensor<4> {
-        let [batch, _, height, width] = flow.dims();
         let [first, second] = frames.map(|frame| twice(frame.clone()));
-        let state = Tensor::zeros([batch, STATE, height, width], &flow.device());
-        let mut found = self.corrected([&first, &second], &still([&first, &second]), [flow, state]);
+        let warped = warp_replicated(second.clone(), in_pixels(flow.clone()));
+        let mut found = self.corrected(&first, &still([&first, &second]), flow, warped);
         // Upsampled, as it was trained: the flow of the cells alone is less exact.
         halved(self.upsampled(&found.pop().expect("several sizes"))) / STRIDE as f64
     }
 
-    /// The estimates that follow on a flow and state, from 1/32 to 1/2 of the size.
+    /// The estimates that follow on a flow in cells, from 1/32 to 1/2 of the size; `warped` is frame 2 warped by it.
     fn corrected(
         &self,
-        [first, second]: [&Tensor<4>; 2],
+        first: &Tensor<4>,
         still: &Tensor<4>,
-        [flow, state]: [Tensor<4>; 2],
+        flow: Tensor<4>,
+        warped: Tensor<4>,
     ) -> Vec<Found> {
-        let [_, _, height, width] = first.dims();
-        let warped =
-            warp_replicated(second.clone(), resize_flow(flow.clone(), [height, width], Grids::EdgesOnEdges));
         let evidence = lucas_kanade(EVIDENCE, first.clone(), warped.clone());
         let difference = space_to_depth((first.clone() - warped) * DIFFERENCE_SCALE, STRIDE);
-        let seen = vec![still.clone(), difference, evidence.clone(), flow.clone(), state];
+        let seen = vec![still.clone(), difference, evidence.clone(), seen_flow(flow.clone())];
         // From fine to coarse, with the flow at each size.
         let mut maps = vec![self.enter.forward(concatenate(seen), LeakyRelu)];
         let mut starts = vec![flow];
@@ -213,12 +243,13 @@ impl SrFlow {
                 None => (map, start.zeros_like()),
                 Some(coarser) => {
                     let (state, flow) = (twice(coarser.state.clone()), twice(coarser.flow.clone()));
-                    let seen = vec![state, map, flow.clone() - start.clone()];
+                    let seen = vec![state, map, seen_flow(flow.clone() - start.clone())];
                     (self.up[level].forward(concatenate(seen), LeakyRelu), flow)
                 }
             };
             let predicted = self.predict[level].forward(state.clone(), Identity);
-            let share = predicted.clone().narrow(1, 0, 1).tanh();
+            // From 0 to 1: a share below 0 would enlarge differences, by more at each correction.
+            let share = relu(predicted.clone().narrow(1, 0, 1).tanh());
             let flow = start.clone() + (coarser - start) * share + predicted.clone().narrow(1, 1, 2);
             found.push(Found { flow, mixture: predicted.narrow(1, 3, MIXTURE), state });
         }
@@ -245,7 +276,8 @@ impl SrFlow {
             None if pixels > COARSE_ABOVE && !request.every_iteration => self.start_of_large(frames, request),
             None => start(frames, border, fine),
         };
-        let mut state = Tensor::zeros([batch, STATE, cells[0], cells[1]], &device);
+        // A network learns more from its mistakes than from what undoes them.
+        let mut kept: Option<Explained> = None;
         let mut estimate = Estimate::of_flows(Vec::new());
         let mut add = |flow: Tensor<4>, mixture: Tensor<4>| {
             let mixture = resize(mixture, [height, width], Grids::EdgesOnEdges);
@@ -256,20 +288,26 @@ impl SrFlow {
         let still = still(frames);
         for iteration in 1..=iterations {
             // Each correction learns by its own predictions, as in RAFT.
-            let mut found = self.corrected(frames, &still, [flow.detach(), state]);
+            let explained = Explained::by(frames, flow.detach());
+            let Explained { flow: start, warped, .. } = match kept.take() {
+                Some(before) if !request.every_iteration => kept.insert(explained.or(before)).clone(),
+                _ => kept.insert(explained).clone(),
+            };
+            let mut found = self.corrected(frames[0], &still, start, warped);
             let finest = found.pop().expect("several sizes");
             if request.every_iteration {
                 // Every second size is enough to teach the coarse maps.
                 for Found { flow, mixture, .. } in found.into_iter().step_by(2) {
                     add(resize(flow, [height, width], Grids::EdgesOnEdges) * STRIDE as f64, mixture);
                 }
-            }
-            if request.every_iteration || iteration == iterations {
+                add(self.upsampled(&finest), finest.mixture);
+            } else if iteration == iterations {
                 let found = self.upsampled(&finest);
                 let found = if fine { self.finer(frames, found) } else { found };
-                add(found, finest.mixture);
+                let explained = kept.as_ref().expect("explained by this iteration");
+                add(explained.or_flow(frames, found), finest.mixture);
             }
-            (flow, state) = (finest.flow, finest.state);
+            flow = finest.flow;
         }
         Estimate { coarse: Some(flow), iterations: Some(request.iterations), ..estimate }
     }
@@ -286,6 +324,86 @@ impl SrFlow {
         );
         estimate.last().clone()
     }
+}
+
+/// A flow, and how well it explains frame 1 by frame 2.
+#[derive(Clone)]
+struct Explained {
+    /// In cells.
+    flow: Tensor<4>,
+    /// Frame 2 warped by the flow.
+    warped: Tensor<4>,
+    /// Mean absolute difference of frame 1 from that, around each cell. It is the least of all flows that were here before.
+    residual: Tensor<4>,
+}
+
+impl Explained {
+    fn by([first, second]: [&Tensor<4>; 2], flow: Tensor<4>) -> Self {
+        let warped = warp_replicated(second.clone(), in_pixels(flow.clone()));
+        let residual = residual(first, &warped);
+        Self { flow, warped, residual }
+    }
+
+    /// This flow, but `before` wherever this one explains the frames clearly worse.
+    fn or(self, before: Self) -> Self {
+        let worse = is_worse(&self.residual, &before.residual);
+        let worse_pixels = nearest_twice(worse.clone());
+        Self {
+            flow: blend(worse, before.flow, self.flow),
+            warped: blend(worse_pixels, before.warped, self.warped),
+            residual: self.residual.min_pair(before.residual),
+        }
+    }
+
+    /// `found`, in pixels, but this flow wherever `found` explains the frames clearly worse.
+    fn or_flow(&self, [first, second]: [&Tensor<4>; 2], found: Tensor<4>) -> Tensor<4> {
+        let residual = residual(first, &warp_replicated(second.clone(), found.clone()));
+        let worse = nearest_twice(is_worse(&residual, &self.residual));
+        blend(worse, in_pixels(self.flow.clone()), found)
+    }
+}
+
+/// 1 where `residual` is more than `before` by more than noise makes it, else 0.
+fn is_worse(residual: &Tensor<4>, before: &Tensor<4>) -> Tensor<4> {
+    residual.clone().greater(before.clone() * WORSE_FACTOR + WORSE_BY).float()
+}
+
+/// `one` where `share` is 1, `other` where it is 0.
+fn blend(share: Tensor<4>, one: Tensor<4>, other: Tensor<4>) -> Tensor<4> {
+    other.clone() + (one - other) * share
+}
+
+/// Mean absolute difference around each cell.
+fn residual(first: &Tensor<4>, warped: &Tensor<4>) -> Tensor<4> {
+    let of_cells = halved((first.clone() - warped.clone()).abs().mean_dim(1));
+    let around = AvgPoolOptions::new([2 * AROUND + 1; 2]).with_stride([1; 2]).with_padding([AROUND; 2]);
+    avg_pool2d(of_cells, around.with_count_include_pad(false))
+}
+
+/// Each cell as its pixels.
+fn nearest_twice(x: Tensor<4>) -> Tensor<4> {
+    let [batch, channels, height, width] = x.dims();
+    let pixels =
+        x.reshape([batch * channels, height, 1, width, 1]).expand([batch * channels, height, 2, width, 2]);
+    pixels.reshape([batch, channels, 2 * height, 2 * width])
+}
+
+/// `flow` without what alternates from pixel to pixel: the learned weights of upsampling repeat in each cell, and would leave that as a
+/// lattice in the strain. Means over 1, 2, 1 along each axis are zero for it.
+fn without_lattice(flow: Tensor<4>) -> Tensor<4> {
+    let pair = || AvgPoolOptions::new([2; 2]).with_stride([1; 2]);
+    avg_pool2d(avg_pool2d(flow.pad((1, 1, 1, 1), PadMode::Edge), pair()), pair())
+}
+
+/// A flow in cells as one of the pixels of the frames.
+fn in_pixels(flow: Tensor<4>) -> Tensor<4> {
+    let [_, _, height, width] = flow.dims();
+    resize_flow(flow, [STRIDE * height, STRIDE * width], Grids::EdgesOnEdges)
+}
+
+/// What the network sees of a flow in cells: short ones as they are, none longer than [`SEEN_CELLS`].
+fn seen_flow(flow: Tensor<4>) -> Tensor<4> {
+    flow.clone() / (flow.square() * (1.0 / (SEEN_CELLS * SEEN_CELLS)) + 1.0).sqrt()
 }
 
 /// The pixels of frame 1 in each cell, how far their mean over the channels is from that of frame 2 where nothing moves, and the evidence
@@ -370,6 +488,8 @@ mod tests {
     use srflow_ops::golden::numbers;
 
     use super::*;
+    use crate::included::load_included;
+    use crate::table::Architecture;
 
     /// Waves of a few pixels, moved by `[u, v]`.
     fn frame([u, v]: [f32; 2]) -> Tensor<4> {
@@ -387,23 +507,61 @@ mod tests {
     fn untrained_it_gives_its_start() {
         let frames = Frames { first: frame([0.0, 0.0]), second: frame([1.5, -0.75]) };
         let network = SrFlow::new(&Device::flex());
-        let inner = |flow: &Tensor<4>| numbers(flow.clone().narrow(2, 8, 44).narrow(3, 8, 60));
-        let distance = |flow: Vec<f32>, truth: [f32; 2]| {
-            let (u, v) = flow.split_at(flow.len() / 2);
-            let sum: f32 = u.iter().zip(v).map(|(u, v)| (u - truth[0]).hypot(v - truth[1])).sum();
-            sum / u.len() as f32
-        };
         // By default that of TV-L1.
         let found = network.forward(frames.clone(), &Request::new(2));
-        let error = distance(inner(found.last()), [1.5, -0.75]);
-        assert!(error < 0.2, "{error}");
+        let away = error(found.last(), [1.5, -0.75]);
+        assert!(away < 0.2, "{away}");
         assert_eq!(found.coarse.expect("for a warm start").dims(), [1, 2, 32, 48]);
         // Or a given one, in cells.
         let start = Tensor::<1>::from_floats([2.0, 1.0], &Device::flex())
             .reshape([1, 2, 1, 1])
             .expand([1, 2, 32, 48]);
         let found = network.forward(frames, &Request { start: Some(start), ..Request::new(1) });
-        let error = distance(inner(found.last()), [4.0, 2.0]);
-        assert!(error < 1e-4, "{error}");
+        let away = error(found.last(), [4.0, 2.0]);
+        assert!(away < 1e-4, "{away}");
+    }
+
+    /// Mean distance of a flow from one in whole pixels, inside.
+    fn error(flow: &Tensor<4>, truth: [f32; 2]) -> f32 {
+        distance(flow.clone().narrow(2, 8, 44).narrow(3, 8, 60), truth)
+    }
+
+    fn distance(flow: Tensor<4>, truth: [f32; 2]) -> f32 {
+        let flow = numbers(flow);
+        let (u, v) = flow.split_at(flow.len() / 2);
+        u.iter().zip(v).map(|(u, v)| (u - truth[0]).hypot(v - truth[1])).sum::<f32>() / u.len() as f32
+    }
+
+    #[test]
+    fn more_iterations_never_ruin_a_flow() {
+        let network = load_included(Architecture::SrFlow, &Device::flex()).expect("weights");
+        let frames = || Frames { first: frame([0.0, 0.0]), second: frame([1.5, -0.75]) };
+        let after =
+            |iterations| error(network.forward(frames(), &Request::new(iterations)).last(), [1.5, -0.75]);
+        let few = after(2);
+        for many in [1, 3, 4, 8, 24, 64] {
+            let found = after(many);
+            assert!(found < few + 0.02, "{found} px after {many} iterations, {few} px after 2");
+        }
+    }
+
+    #[test]
+    fn a_start_that_explains_the_frames_is_kept() {
+        let network = load_included(Architecture::SrFlow, &Device::flex()).expect("weights");
+        let offset = [30.0, -12.0];
+        let frames = Frames { first: frame([0.0, 0.0]), second: frame(offset) };
+        let start = Tensor::<1>::from_floats([offset[0] / 2.0, offset[1] / 2.0], &Device::flex())
+            .reshape([1, 2, 1, 1])
+            .expand([1, 2, 32, 48]);
+        let flow = |start, iterations| {
+            let estimate = network.forward(frames.clone(), &Request { start, ..Request::new(iterations) });
+            // Pixels that frame 2 shows.
+            distance(estimate.last().clone().narrow(2, 16, 36).narrow(3, 8, 32), offset)
+        };
+        for iterations in [1, 2, 8] {
+            let found = flow(Some(start.clone()), iterations);
+            // A hundredth of the motion.
+            assert!(found < 0.32, "{found} px after {iterations} iterations");
+        }
     }
 }

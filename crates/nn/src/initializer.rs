@@ -2,7 +2,7 @@
 
 use burn::config::Config;
 use burn::module::{Param, ParamId};
-use burn::tensor::{Device, Distribution, Tensor};
+use burn::tensor::{Device, Distribution, Tensor, TensorData};
 
 /// What the values of a new parameter are, by the names of `torch.nn.init`.
 #[derive(Config, Debug, PartialEq)]
@@ -11,6 +11,10 @@ pub enum Initializer {
     Ones,
     Constant {
         value: f64,
+    },
+    /// These, row by row.
+    Values {
+        values: Vec<f32>,
     },
     Uniform {
         min: f64,
@@ -71,6 +75,7 @@ impl Initializer {
             uniform(-most, most)
         };
         match *self {
+            Self::Values { ref values } => Tensor::from_data(TensorData::new(values.clone(), shape), device),
             Self::Zeros => Tensor::zeros(shape, device),
             Self::Ones => Tensor::ones(shape, device),
             Self::Constant { value } => Tensor::full(shape, value, device),

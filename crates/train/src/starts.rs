@@ -24,9 +24,9 @@ pub enum Starts {
 }
 
 /// Shares of [`Starts::Varied`]; the rest is what the network finds.
-const OWN: f32 = 0.4;
-const ZERO: f32 = 0.08;
-const NEAR_TRUTH: f32 = 0.2;
+const OWN: f32 = 0.55;
+const ZERO: f32 = 0.05;
+const NEAR_TRUTH: f32 = 0.15;
 /// Of what the network finds.
 const MOST_ITERATIONS: u32 = 6;
 /// Standard deviation of the errors near the truth, in pixels.

@@ -6,6 +6,7 @@ use srflow_ops::Activation;
 use srflow_ops::resize::Grids;
 
 use super::graph::{Attribute, Graph, Length, Sides, Value};
+use super::proto::DataType;
 
 /// Added to the variance by norms.
 const EPSILON: f32 = 1e-5;
@@ -119,6 +120,19 @@ impl Graph {
         self.apply("AveragePool", &[x], &attributes, vec![x.length(0), x.length(1), height, width])
     }
 
+    /// Means over 1, 2, 1 pixels along each axis; pixels at the border continue beyond it.
+    pub(crate) fn binomial(&mut self, x: &Value) -> Value {
+        let window = || {
+            [("kernel_shape", Attribute::Ints(vec![2; 2])), ("strides", Attribute::Ints(vec![1; 2]))]
+                .into_iter()
+        };
+        let beyond: Vec<_> = window().chain([("pads", Attribute::Ints(vec![1; 4]))]).collect();
+        let window: Vec<_> = window().collect();
+        // One row and one column more, which no operation asks for.
+        let pairs = self.apply("AveragePool", &[x], &beyond, x.shape());
+        self.apply("AveragePool", &[&pairs], &window, x.shape())
+    }
+
     /// Means of windows of this radius around each pixel, which are cut off at the border.
     pub(crate) fn smoothed(&mut self, x: &Value, radius: i64) -> Value {
         let attributes = [
@@ -142,6 +156,32 @@ impl Graph {
         let [height, width] = x.size().map(|side| self.times(&side, &factor.into()));
         let shape = vec![x.length(0), x.length(1), height, width];
         self.apply("Resize", &[x, &Value::omitted(), &scales], &attributes, shape)
+    }
+
+    /// Each pixel `factor` times along each axis.
+    pub(crate) fn repeated(&mut self, x: &Value, factor: i64) -> Value {
+        let attributes = [
+            ("mode", Attribute::Text("nearest")),
+            ("coordinate_transformation_mode", Attribute::Text("asymmetric")),
+            ("nearest_mode", Attribute::Text("floor")),
+        ];
+        let scales = self.constant(&[1.0, 1.0, factor as f32, factor as f32], &[4]);
+        let [height, width] = x.size().map(|side| self.times(&side, &factor.into()));
+        let shape = vec![x.length(0), x.length(1), height, width];
+        self.apply("Resize", &[x, &Value::omitted(), &scales], &attributes, shape)
+    }
+
+    /// 1 where `a` is greater than `b`, else 0.
+    pub(crate) fn greater(&mut self, a: &Value, b: &Value) -> Value {
+        let greater = self.pairs("Greater", a, b);
+        self.apply("Cast", &[&greater], &[("to", Attribute::Int(DataType::Float as i64))], a.shape())
+    }
+
+    /// `one` where `share` is 1, `other` where it is 0.
+    pub(crate) fn blended(&mut self, share: &Value, one: &Value, other: &Value) -> Value {
+        let more = self.subtract(one, other);
+        let more = self.multiply(&more, share);
+        self.add(other, &more)
     }
 
     /// Columns and rows of the pixels that a flow `[1, 2, height, width]` points to.

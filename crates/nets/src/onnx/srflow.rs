@@ -1,6 +1,6 @@
 //! The network of srflow's own as a graph, but for TV-L1, from whose flow it starts: `crate::srflow`.
 
-use srflow_ops::Activation::{Identity, LeakyRelu, Sigmoid, Tanh};
+use srflow_ops::Activation::{Identity, LeakyRelu, Relu, Sigmoid, Tanh};
 use srflow_ops::lucas_kanade::{CELL, PER_WINDOW};
 use srflow_ops::resize::Grids;
 
@@ -8,7 +8,8 @@ use super::Pair;
 use super::graph::{Axis, Graph, Value};
 use super::operations::Beyond;
 use crate::srflow::{
-    DIFFERENCE_SCALE, EVIDENCE, FINE_UP_TO, LOG_SCALE_RANGE, MIXTURE, STATE, STRIDE, WIDTHS, WINDOWS,
+    AROUND, DIFFERENCE_SCALE, EVIDENCE, FINE_UP_TO, LOG_SCALE_RANGE, MIXTURE, SEEN_CELLS, STRIDE, WIDTHS,
+    WINDOWS, WORSE_BY, WORSE_FACTOR,
 };
 
 const CELLS: i64 = STRIDE as i64;
@@ -32,57 +33,128 @@ pub(crate) fn srflow(graph: &mut Graph, pair: &Pair, iterations: usize) {
     let mut flow = graph.scale(&start, 1.0 / CELLS as f32);
     graph.begin("still");
     let still = still(graph, [&pair.first, &pair.second]);
-    let mut state = graph.zeros(flow.with_channels(STATE as i64));
-    let mut mixture = None;
+    let mut found = None;
+    let mut kept: Option<Explained> = None;
+    let frames = [&pair.first, &pair.second];
     // Of frames of any size it is not known here whether they are small.
     let fine = iterations > 1 && pair.pixels().is_some_and(|pixels| pixels <= FINE_UP_TO);
     for iteration in 1..=iterations - usize::from(fine) {
         graph.begin(format!("iteration_{iteration}"));
-        let found = corrected(graph, [&pair.first, &pair.second], &still, [&flow, &state]);
-        (flow, state, mixture) = (found.flow, found.state, Some(found.mixture));
+        let explained = Explained::by(graph, frames, flow);
+        let explained = match kept.take() {
+            Some(before) => explained.or(graph, before),
+            None => explained,
+        };
+        let corrected = corrected(graph, &pair.first, &still, &explained.flow, &explained.warped);
+        flow = corrected.flow.clone();
+        (found, kept) = (Some(corrected), Some(explained));
     }
+    let (Some(found), Some(kept)) = (found, kept) else { panic!("at least one iteration") };
     graph.begin("upsampling");
-    let mut flow = upsampled(graph, &flow, &state);
+    let mut flow = upsampled(graph, &found.flow, &found.state);
     if fine {
         graph.begin("fine");
         let [first, second] =
             [&pair.first, &pair.second].map(|frame| graph.enlarged(frame, CELLS, Grids::EdgesOnEdges));
         let still = self::still(graph, [&first, &second]);
-        let state = graph.zeros(flow.with_channels(STATE as i64));
-        let found = corrected(graph, [&first, &second], &still, [&flow, &state]);
+        let warped = warped_by_cells(graph, &second, &flow);
+        let found = corrected(graph, &first, &still, &flow, &warped);
         let upsampled = upsampled(graph, &found.flow, &found.state);
         let pooled = graph.pooled(&upsampled, CELLS);
         flow = graph.scale(&pooled, 1.0 / CELLS as f32);
     }
+    graph.begin("kept");
+    let flow = kept.or_flow(graph, frames, &flow);
     pair.output_flow(graph, &flow);
-    if let Some(mixture) = mixture {
-        let mixture = graph.enlarged(&mixture, CELLS, Grids::EdgesOnEdges);
-        let uncertainty = mean_scale(graph, &mixture);
-        pair.output(graph, "uncertainty", UNCERTAINTY, &uncertainty);
+    let mixture = graph.enlarged(&found.mixture, CELLS, Grids::EdgesOnEdges);
+    let uncertainty = mean_scale(graph, &mixture);
+    pair.output(graph, "uncertainty", UNCERTAINTY, &uncertainty);
+}
+
+/// `Explained` of `crate::srflow`.
+struct Explained {
+    flow: Value,
+    warped: Value,
+    residual: Value,
+}
+
+impl Explained {
+    fn by(graph: &mut Graph, [first, second]: [&Value; 2], flow: Value) -> Self {
+        let warped = warped_by_cells(graph, second, &flow);
+        let residual = residual(graph, first, &warped);
+        Self { flow, warped, residual }
     }
+
+    fn or(self, graph: &mut Graph, before: Self) -> Self {
+        let worse = is_worse(graph, &self.residual, &before.residual);
+        let worse_pixels = graph.repeated(&worse, CELLS);
+        Self {
+            flow: graph.blended(&worse, &before.flow, &self.flow),
+            warped: graph.blended(&worse_pixels, &before.warped, &self.warped),
+            residual: graph.pairs("Min", &self.residual, &before.residual),
+        }
+    }
+
+    fn or_flow(&self, graph: &mut Graph, [first, second]: [&Value; 2], found: &Value) -> Value {
+        let warped = warped(graph, second, found);
+        let residual = residual(graph, first, &warped);
+        let worse = is_worse(graph, &residual, &self.residual);
+        let worse = graph.repeated(&worse, CELLS);
+        let flow = in_pixels(graph, &self.flow);
+        graph.blended(&worse, &flow, found)
+    }
+}
+
+fn is_worse(graph: &mut Graph, residual: &Value, before: &Value) -> Value {
+    let before = graph.scale(before, WORSE_FACTOR as f32);
+    let limit = graph.shift(&before, WORSE_BY as f32);
+    graph.greater(residual, &limit)
+}
+
+fn residual(graph: &mut Graph, first: &Value, warped: &Value) -> Value {
+    let difference = graph.subtract(first, warped);
+    let difference = graph.each("Abs", &difference);
+    let difference = graph.mean_of_channels(&difference);
+    let of_cells = graph.pooled(&difference, CELLS);
+    graph.smoothed(&of_cells, AROUND as i64)
+}
+
+/// A flow in cells as one of pixels.
+fn in_pixels(graph: &mut Graph, flow: &Value) -> Value {
+    let fine = graph.enlarged(flow, CELLS, Grids::EdgesOnEdges);
+    graph.scale(&fine, CELLS as f32)
+}
+
+fn warped_by_cells(graph: &mut Graph, second: &Value, flow: &Value) -> Value {
+    let flow = in_pixels(graph, flow);
+    warped(graph, second, &flow)
+}
+
+/// `seen_flow` of `crate::srflow`.
+fn seen_flow(graph: &mut Graph, flow: &Value) -> Value {
+    let squared = graph.multiply(flow, flow);
+    let squared = graph.scale(&squared, (1.0 / (SEEN_CELLS * SEEN_CELLS)) as f32);
+    let squared = graph.shift(&squared, 1.0);
+    let length = graph.each("Sqrt", &squared);
+    graph.divide(flow, &length)
 }
 
 /// The flow in pixels of an estimate in cells.
 fn upsampled(graph: &mut Graph, flow: &Value, state: &Value) -> Value {
     let scores = graph.conv("mask", state, 1, Identity);
-    graph.convex_upsampled(flow, &scores, CELLS)
+    let flow = graph.convex_upsampled(flow, &scores, CELLS);
+    // `without_lattice` of `crate::srflow`.
+    graph.binomial(&flow)
 }
 
-/// The estimate that follows on a flow and state.
-fn corrected(
-    graph: &mut Graph,
-    [first, second]: [&Value; 2],
-    still: &Value,
-    [start, state]: [&Value; 2],
-) -> Found {
-    let fine = graph.enlarged(start, CELLS, Grids::EdgesOnEdges);
-    let fine = graph.scale(&fine, CELLS as f32);
-    let warped = warped(graph, second, &fine);
-    let evidence = lucas_kanade(graph, first, &warped);
-    let difference = graph.subtract(first, &warped);
+/// The estimate that follows on a flow, by which frame 2 is warped.
+fn corrected(graph: &mut Graph, first: &Value, still: &Value, start: &Value, warped: &Value) -> Found {
+    let evidence = lucas_kanade(graph, first, warped);
+    let difference = graph.subtract(first, warped);
     let difference = graph.scale(&difference, DIFFERENCE_SCALE as f32);
     let difference = graph.space_to_depth(&difference, CELLS);
-    let seen = graph.concat(&[still, &difference, &evidence, start, state], 1);
+    let flow = seen_flow(graph, start);
+    let seen = graph.concat(&[still, &difference, &evidence, &flow], 1);
     // From fine to coarse, with the flow at each size.
     let mut maps = vec![graph.conv("enter", &seen, 1, LeakyRelu)];
     let mut starts = vec![start.clone()];
@@ -100,13 +172,15 @@ fn corrected(
                 let state = graph.enlarged(&coarser.state, 2, Grids::EdgesOnEdges);
                 let flow = graph.enlarged(&coarser.flow, 2, Grids::EdgesOnEdges);
                 let beside = graph.subtract(&flow, &start);
-                let seen = graph.concat(&[&state, &map, &beside], 1);
+                let seen_beside = seen_flow(graph, &beside);
+                let seen = graph.concat(&[&state, &map, &seen_beside], 1);
                 (graph.conv(&format!("up.{level}"), &seen, 1, LeakyRelu), beside)
             }
         };
         let predicted = graph.conv(&format!("predict.{level}"), &state, 1, Identity);
         let share = graph.channels(&predicted, 0, 1);
         let share = graph.activated(share, Tanh);
+        let share = graph.activated(share, Relu);
         let shared = graph.multiply(&beside, &share);
         let flow = graph.add(&start, &shared);
         let change = graph.channels(&predicted, 1, 2);

@@ -370,14 +370,16 @@ fn write_reach(f: &mut fmt::Formatter, reach: &Reach, eye_distance: Option<f64>)
     if reach.largest_identity > LIKELY_WEIGHT || reach.typical_identity > LIKELY_MEAN {
         writeln!(
             f,
-            "The model finds this head unlikely: identity weights of up to {:.1} standard deviations, {:.1} on average. Do not trust              its shape, nor these numbers. Check the focal length; fit fewer shapes (`identities`) or give `eye_distance`.",
+            "The model finds this head unlikely: identity weights of up to {:.1} standard deviations, {:.1} on average. Do not trust \
+             its shape, nor these numbers. Check the focal length; fit fewer shapes (`identities`) or give `eye_distance`.",
             reach.largest_identity, reach.typical_identity
         )?;
     }
     if *cameras == 1 && eye_distance.is_none() {
         writeln!(
             f,
-            "One camera sees no scale: size and distance of the head follow from what heads the model finds likely. If you know the              distance between the pupils, give `eye_distance`."
+            "One camera sees no scale: size and distance of the head follow from what heads the model finds likely. If you know the \
+             distance between the pupils, give `eye_distance`."
         )?;
     }
     for (what, unknown, of) in [

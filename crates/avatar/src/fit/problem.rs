@@ -16,6 +16,10 @@ use srflow_head::{HeadModel, HeadPoints, HeadState, JointRole};
 /// The noise is not estimated below this, in pixels: no detector is more precise.
 const LEAST_NOISE: f64 = 0.25;
 
+/// Errors of detectors change with pose and expression, but hardly from one timestep to the next: all timesteps together tell as much
+/// about what they share as so many independent ones.
+const INDEPENDENT: usize = 8;
+
 /// Timesteps that are linearised at once: each takes about a megabyte.
 const AT_ONCE: usize = 32;
 
@@ -85,6 +89,12 @@ impl Window {
 
     pub fn with_identity(self) -> Self {
         Self { identity: true, ..self }
+    }
+
+    /// How many times more certain all these timesteps would make what they share than [`INDEPENDENT`] do. The priors of that are
+    /// narrower by it.
+    pub fn certainty(&self) -> f64 {
+        (self.range.len() as f64 / INDEPENDENT as f64).max(1.0).sqrt()
     }
 
     fn rigid(self) -> Self {
@@ -398,13 +408,14 @@ impl<'a> Problem<'a> {
     pub fn weigh_offsets(&mut self, heads: &Heads, window: &Window, noise: f64) {
         let (system, _) = self.linearise(heads, window, noise);
         let Some(step) = system.solve(0.0) else { return };
-        let (shared, before) = (self.shared(), self.offset_deviation);
+        let certainty = window.certainty();
+        let (shared, before) = (self.shared(), self.offset_deviation / certainty);
         let variances = (self.identities..shared).map(|i| step.shared_covariance[i * shared + i]);
         let determined: f64 = variances.map(|variance| 1.0 - (variance / (before * before)).min(1.0)).sum();
         let squares: f64 = heads.offsets.iter().map(|offset| offset.length_squared()).sum();
         let [least, most] = OFFSET_DEVIATIONS;
         if determined > 1.0 {
-            self.offset_deviation = (squares / determined).sqrt().clamp(least, most);
+            self.offset_deviation = (certainty * (squares / determined).sqrt()).clamp(least, most);
         }
     }
 
@@ -506,7 +517,9 @@ impl<'a> Problem<'a> {
             }
         }
         if let Some(state) = heads.states.first().filter(|_| window.identity) {
-            let (identity, landmark) = (self.options.priors.identity, self.offset_deviation);
+            let certainty = window.certainty();
+            let identity = self.options.priors.identity / certainty;
+            let landmark = self.offset_deviation / certainty;
             let weights = state.identity.iter().map(|weight| (*weight, identity));
             let offsets = heads.offsets.iter().flat_map(|offset| offset.to_array());
             for (i, (value, deviation)) in weights.chain(offsets.map(|offset| (offset, landmark))).enumerate()

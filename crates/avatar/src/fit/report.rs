@@ -182,7 +182,7 @@ impl Problem<'_> {
         let weights =
             || heads.states[at].identity.iter().map(|weight| weight.abs() / self.options.priors.identity);
         let name = |shapes: &[srflow_head::Shape], number: usize| shapes[number].name.clone();
-        let identity = self.options.priors.identity;
+        let identity = self.options.priors.identity / Window::all(heads.states.len()).certainty();
         let unknown = |joint: usize, place: usize| {
             self.joint_deviations(joint)
                 .is_some_and(|deviations| (0..3).all(|axis| by_prior(place + axis, deviations[axis])))

@@ -289,10 +289,11 @@ impl SrFlow {
         for iteration in 1..=iterations {
             // Each correction learns by its own predictions, as in RAFT.
             let explained = Explained::by(frames, flow.detach());
-            let Explained { flow: start, warped, .. } = match kept.take() {
-                Some(before) if !request.every_iteration => kept.insert(explained.or(before)).clone(),
-                _ => kept.insert(explained).clone(),
+            let explained = match kept.take() {
+                Some(before) if !request.every_iteration => explained.or(before),
+                _ => explained,
             };
+            let Explained { flow: start, warped, .. } = explained.clone();
             let mut found = self.corrected(frames[0], &still, start, warped);
             let finest = found.pop().expect("several sizes");
             if request.every_iteration {
@@ -304,10 +305,9 @@ impl SrFlow {
             } else if iteration == iterations {
                 let found = self.upsampled(&finest);
                 let found = if fine { self.finer(frames, found) } else { found };
-                let explained = kept.as_ref().expect("explained by this iteration");
                 add(explained.or_flow(frames, found), finest.mixture);
             }
-            flow = finest.flow;
+            (flow, kept) = (finest.flow, Some(explained));
         }
         Estimate { coarse: Some(flow), iterations: Some(request.iterations), ..estimate }
     }

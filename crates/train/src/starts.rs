@@ -68,11 +68,9 @@ fn near_truth(batch: &Batch, stride: usize, device: &Device) -> Tensor<4> {
         let smooth = SMOOTH_OVER[stream.below(SMOOTH_OVER.len() as u32) as usize];
         let truth = pooled(truth.clone().narrow(0, at, 1), stride) / stride as f64;
         let [_, _, height, width] = truth.dims();
-        let truth = match stream.unit() < 0.5 && height.is_multiple_of(smooth) && width.is_multiple_of(smooth)
-        {
-            true => resize(pooled(truth, smooth), [height, width], Grids::EdgesOnEdges),
-            false => truth,
-        };
+        let coarse = stream.unit() < 0.5 && height.is_multiple_of(smooth) && width.is_multiple_of(smooth);
+        let truth =
+            if coarse { resize(pooled(truth, smooth), [height, width], Grids::EdgesOnEdges) } else { truth };
         truth + errors(*key, [height, width], smooth, deviation, device)
     });
     Tensor::cat(samples.collect(), 0)

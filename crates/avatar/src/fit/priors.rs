@@ -64,21 +64,19 @@ impl Default for Priors {
 const BEYOND: f64 = 0.05;
 
 impl Problem<'_> {
-    /// Of the change between timesteps, for each parameter of a timestep: one over the variance.
-    pub fn change_precisions(&self) -> Vec<f64> {
+    /// Standard deviation of the change of a parameter between timesteps, in the head's own unit.
+    fn change_deviation(&self, own: usize) -> f64 {
         let priors = &self.options.priors;
-        let mut deviations = vec![priors.expression_change; self.expressions];
-        for &joint in &self.joints {
-            let deviation = match self.role(joint) {
-                JointRole::Root => priors.rotation_change,
-                JointRole::Neck => priors.neck_change,
-                JointRole::Jaw => priors.jaw_change,
-                JointRole::LeftEye | JointRole::RightEye => priors.eyes_change,
-            };
-            deviations.extend([deviation; 3]);
+        if own < self.expressions {
+            return priors.expression_change;
         }
-        deviations.extend([priors.translation_change; 3]);
-        deviations.iter().map(|deviation| deviation.powi(-2)).collect()
+        match self.joints.get((own - self.expressions) / 3).map(|joint| self.role(*joint)) {
+            Some(JointRole::Root) => priors.rotation_change,
+            Some(JointRole::Neck) => priors.neck_change,
+            Some(JointRole::Jaw) => priors.jaw_change,
+            Some(JointRole::LeftEye | JointRole::RightEye) => priors.eyes_change,
+            None => priors.translation_change,
+        }
     }
 
     /// Standard deviations of a fitted joint's rotation about each axis; `None` for the root.
@@ -104,31 +102,32 @@ impl Problem<'_> {
         neighbours: impl Iterator<Item = (&'s HeadState, f64)>,
         terms: &mut Terms,
     ) {
-        let mut of_size = OfSize { cross: vec![0.0; self.own()], ..OfSize::default() };
-        self.own_priors(state, terms, &mut of_size);
+        let (size, slopes) = self.size(state);
+        let unit = self.unit(size);
+        let (shared, n) = (self.shared(), self.shared() + self.own());
+        let mut sum =
+            PriorSum { terms, shared, n, gradient: 0.0, hessian: 0.0, cross: vec![0.0; self.own()] };
+        self.own_priors(state, unit, &mut sum);
         for (other, counted) in neighbours {
-            self.smoothness(state, other, counted, terms, &mut of_size);
+            self.smoothness(state, other, unit, counted, &mut sum);
         }
-        self.spread(&of_size, state, terms);
+        sum.spread(slopes.iter().map(|slope| slope / size).collect());
     }
 
-    /// How a parameter of a timestep is coupled to its neighbours', see [`System::coupling`](super::arrow::System).
-    pub fn coupling(&self, state: &HeadState, own: usize) -> f64 {
-        self.change_precisions[own] * self.unit(state, own).powi(-2)
+    /// How a parameter of a timestep is coupled to its neighbours', see [`System::coupling`](super::arrow::System), for a head of
+    /// this size.
+    pub fn coupling(&self, size: f64, own: usize) -> f64 {
+        let unit = if self.grows(own) { self.unit(size) } else { 1.0 };
+        (self.change_deviation(own) * unit).powi(-2)
     }
 
-    fn own_priors(&self, state: &HeadState, terms: &mut Terms, of_size: &mut OfSize) {
-        let n = self.shared() + self.own();
+    fn own_priors(&self, state: &HeadState, unit: f64, sum: &mut PriorSum) {
         for (number, &weight) in state.expressions.iter().enumerate().take(self.expressions) {
-            let unit = self.unit(state, number);
             let weight = weight / unit;
-            let deviation = self.expression_deviation(number);
             let mut add = |value: f64, deviation: f64| {
-                let residual = Residual { value, slope: unit.recip(), shrinks: weight }.over(deviation);
-                terms.add(n, self.shared() + number, &residual, 1.0);
-                of_size.add(number, &residual, 1.0);
+                sum.add(number, Residual { value, slope: unit.recip(), shrinks: weight }, deviation, 1.0);
             };
-            add(weight, deviation);
+            add(weight, self.expression_deviation(number));
             if let Some([low, high]) = self.ranges[number] {
                 let beyond = weight - weight.clamp(low, high);
                 if beyond != 0.0 {
@@ -136,6 +135,7 @@ impl Problem<'_> {
                 }
             }
         }
+        let PriorSum { terms, shared, n, .. } = sum;
         for (number, &joint) in self.joints.iter().enumerate() {
             let Some(deviations) = self.joint_deviations(joint) else { continue };
             let vector = state.joint(joint).to_scaled_axis();
@@ -152,26 +152,18 @@ impl Problem<'_> {
             let gradient = slope.transpose() * pull;
             let hessian = slope.transpose() * DMat3::from_diagonal(precision) * slope;
             terms.cost += cost;
-            let place = self.shared() + self.expressions + 3 * number;
+            let place = *shared + self.expressions + 3 * number;
             for i in 0..3 {
                 terms.gradient[place + i] += gradient[i];
                 for j in 0..=i {
-                    terms.hessian[(place + i) * n + place + j] += hessian.col(j)[i];
+                    terms.hessian[(place + i) * *n + place + j] += hessian.col(j)[i];
                 }
             }
         }
     }
 
     /// The change between a timestep and a neighbour, whose cost is multiplied by `counted`.
-    fn smoothness(
-        &self,
-        state: &HeadState,
-        other: &HeadState,
-        counted: f64,
-        terms: &mut Terms,
-        of_size: &mut OfSize,
-    ) {
-        let n = self.shared() + self.own();
+    fn smoothness(&self, state: &HeadState, other: &HeadState, unit: f64, counted: f64, sum: &mut PriorSum) {
         let expressions = state.expressions.iter().zip(&other.expressions).map(|(a, b)| a - b);
         // To first order in the change between timesteps, its derivatives by both rotations are plus and minus the identity.
         let turned =
@@ -179,13 +171,13 @@ impl Problem<'_> {
         let joints = self.joints.iter().flat_map(turned);
         let moved = (state.translation - other.translation).to_array();
         let changes = expressions.take(self.expressions).chain(joints).chain(moved);
-        for (i, (change, precision)) in changes.zip(&self.change_precisions).enumerate() {
-            let unit = self.unit(state, i);
-            let shrinks = if self.grows(i) { change / unit } else { 0.0 };
-            let residual = Residual { value: change / unit, slope: unit.recip(), shrinks };
-            let residual = residual.over(precision.sqrt().recip());
-            terms.add(n, self.shared() + i, &residual, counted);
-            of_size.add(i, &residual, counted);
+        for (i, change) in changes.enumerate() {
+            let residual = if self.grows(i) {
+                Residual { value: change / unit, slope: unit.recip(), shrinks: change / unit }
+            } else {
+                Residual { value: change, slope: 1.0, shrinks: 0.0 }
+            };
+            sum.add(i, residual, self.change_deviation(i), counted);
         }
     }
 
@@ -194,26 +186,10 @@ impl Problem<'_> {
         own < self.expressions || own >= self.own() - 3
     }
 
-    /// What a parameter of a timestep is measured in: the size of the head, in sizes of the mean head, if it grows with that. Else
-    /// all timesteps together would find small heads probable, whose expressions and motions are small.
-    fn unit(&self, state: &HeadState, own: usize) -> f64 {
-        if self.grows(own) { self.size(state).0 / self.corners.mean.length() } else { 1.0 }
-    }
-
-    /// Adds derivatives by the logarithm of the size of the head as those by the identity.
-    fn spread(&self, of_size: &OfSize, state: &HeadState, terms: &mut Terms) {
-        let (n, shared) = (self.shared() + self.own(), self.shared());
-        let (size, slopes) = self.size(state);
-        let growth: Vec<f64> = slopes.iter().map(|slope| slope / size).collect();
-        for (i, growth_of) in growth.iter().enumerate() {
-            terms.gradient[i] += of_size.gradient * growth_of;
-            for (sum, other) in terms.hessian[i * n..].iter_mut().zip(&growth[..=i]) {
-                *sum += of_size.hessian * growth_of * other;
-            }
-        }
-        for (row, cross) in terms.hessian.chunks_exact_mut(n).skip(shared).zip(&of_size.cross) {
-            row.iter_mut().zip(&growth).for_each(|(sum, growth)| *sum += cross * growth);
-        }
+    /// What parameters that grow with the head are measured in: its size, in sizes of the mean head. Else all timesteps together would
+    /// find small heads probable, whose expressions and motions are small.
+    fn unit(&self, size: f64) -> f64 {
+        size / self.corners.mean.length()
     }
 }
 
@@ -224,38 +200,44 @@ struct Residual {
     shrinks: f64,
 }
 
-impl Residual {
-    fn over(self, deviation: f64) -> Self {
-        let Self { value, slope, shrinks } = self;
-        Self { value: value / deviation, slope: slope / deviation, shrinks: shrinks / deviation }
-    }
-}
-
-/// Derivatives by the logarithm of the size of the head, of what a timestep adds to the cost.
-#[derive(Default)]
-struct OfSize {
+/// Adds priors to the terms of a timestep.
+struct PriorSum<'t> {
+    terms: &'t mut Terms,
+    /// Number of shared parameters, and of all.
+    shared: usize,
+    n: usize,
+    /// Derivatives by the logarithm of the size of the head; `cross` with each of the timestep's own parameters.
     gradient: f64,
     hessian: f64,
-    /// With each of the timestep's own parameters.
     cross: Vec<f64>,
 }
 
-impl OfSize {
-    fn add(&mut self, own: usize, residual: &Residual, counted: f64) {
+impl PriorSum<'_> {
+    /// Adds the square of a residual of a timestep's own parameter, in standard deviations; its cost is multiplied by `counted`.
+    fn add(&mut self, own: usize, residual: Residual, deviation: f64, counted: f64) {
         let Residual { value, slope, shrinks } = residual;
+        let [value, slope, shrinks] = [value, slope, shrinks].map(|of| of / deviation);
+        let i = self.shared + own;
+        self.terms.cost += counted * value * value;
+        self.terms.gradient[i] += value * slope;
+        self.terms.hessian[i * self.n + i] += slope * slope;
         self.gradient -= counted * value * shrinks;
         self.hessian += counted * shrinks * shrinks;
         self.cross[own] -= slope * shrinks;
     }
-}
 
-impl Terms {
-    /// Adds the square of a residual of parameter `i`, whose cost is multiplied by `counted`.
-    fn add(&mut self, n: usize, i: usize, residual: &Residual, counted: f64) {
-        let Residual { value, slope, .. } = residual;
-        self.cost += counted * value * value;
-        self.gradient[i] += value * slope;
-        self.hessian[i * n + i] += slope * slope;
+    /// Adds derivatives by the logarithm of the size as those by the identity, with each weight of which it grows by `growth`.
+    fn spread(self, growth: Vec<f64>) {
+        let Self { terms, shared, n, gradient, hessian, cross } = self;
+        for (i, growth_of) in growth.iter().enumerate() {
+            terms.gradient[i] += gradient * growth_of;
+            for (sum, other) in terms.hessian[i * n..].iter_mut().zip(&growth[..=i]) {
+                *sum += hessian * growth_of * other;
+            }
+        }
+        for (row, cross) in terms.hessian.chunks_exact_mut(n).skip(shared).zip(cross) {
+            row.iter_mut().zip(&growth).for_each(|(sum, growth)| *sum += cross * growth);
+        }
     }
 }
 

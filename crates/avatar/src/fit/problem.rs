@@ -63,8 +63,6 @@ pub(super) struct Problem<'a> {
     /// Between the outer corners of the eyes, which is the size of the head, and between the pupils.
     pub corners: DistanceAtRest,
     pupils: DistanceAtRest,
-    /// One over the variance of the change between timesteps, for each parameter of a timestep.
-    pub change_precisions: Vec<f64>,
 }
 
 /// What is solved for: parameters of some timesteps, the others held.
@@ -158,40 +156,24 @@ impl<'a> Problem<'a> {
         let roles = [JointRole::Neck, JointRole::Jaw, JointRole::LeftEye, JointRole::RightEye];
         let joints =
             std::iter::once(0).chain(roles.into_iter().filter_map(|role| model.joint(role))).collect();
-        let mut problem = Self {
+        let points = HeadPoints::on_triangles(model, &model.landmarks[..LANDMARK_COUNT]);
+        let identities = model.identities.len().min(options.identities);
+        let rest = rest(model, identities, expressions);
+        let [right, left] = EYE_CORNERS;
+        Self {
+            corners: DistanceAtRest::between(&points, &rest, &[right], &[left]),
+            pupils: DistanceAtRest::between(&points, &rest, &RIGHT_EYE, &LEFT_EYE),
             model,
-            points: HeadPoints::on_triangles(model, &model.landmarks[..LANDMARK_COUNT]),
+            points,
             options,
             views: timesteps.iter().map(of).collect(),
             timesteps,
-            identities: model.identities.len().min(options.identities),
+            identities,
             expressions,
             joints,
             ranges: ranges(model, expressions),
             factors: (0..LANDMARK_COUNT).map(|l| if l < CONTOUR { options.contour } else { 1.0 }).collect(),
             offset_deviation: options.priors.landmark,
-            corners: DistanceAtRest::default(),
-            pupils: DistanceAtRest::default(),
-            change_precisions: Vec::new(),
-        };
-        let [right, left] = EYE_CORNERS;
-        problem.corners = problem.distance_at_rest(&[right], &[left]);
-        problem.pupils = problem.distance_at_rest(&RIGHT_EYE, &LEFT_EYE);
-        problem.change_precisions = problem.change_precisions();
-        problem
-    }
-
-    /// Between the means of some landmarks.
-    fn distance_at_rest(&self, from: &[usize], to: &[usize]) -> DistanceAtRest {
-        let rest = self.points.derivatives(&self.rest());
-        let apart = |value: &dyn Fn(usize) -> DVec3| {
-            let mean = |of: &[usize]| of.iter().map(|l| value(*l)).sum::<DVec3>() / of.len() as f64;
-            mean(to) - mean(from)
-        };
-        let columns = self.points.columns();
-        DistanceAtRest {
-            mean: apart(&|landmark| rest.positions[landmark]),
-            shapes: (0..self.identities).map(|i| apart(&|l| rest.values[l * columns + i])).collect(),
         }
     }
 
@@ -264,21 +246,11 @@ impl<'a> Problem<'a> {
         self.corners.of(&state.identity)
     }
 
-    /// The mean head at rest.
-    pub fn rest(&self) -> HeadState {
-        HeadState {
-            identity: vec![0.0; self.identities],
-            expressions: vec![0.0; self.expressions],
-            joints: vec![DQuat::IDENTITY; self.model.joints.len()],
-            translation: DVec3::ZERO,
-        }
-    }
-
     /// The mean head at rest, at all timesteps.
     pub fn heads(&self) -> Heads {
         Heads {
             first: 0,
-            states: vec![self.rest(); self.timesteps.len()],
+            states: vec![rest(self.model, self.identities, self.expressions); self.timesteps.len()],
             offsets: vec![DVec3::ZERO; LANDMARK_COUNT],
         }
     }
@@ -471,7 +443,7 @@ impl<'a> Problem<'a> {
         let own: Vec<usize> = if window.rigid { self.rigid_parameters() } else { (0..self.own()).collect() };
         let state = |timestep: usize| heads.state(timestep);
         let terms = |timestep: usize| {
-            let mut terms = self.data(heads, timestep, noise);
+            let mut terms = self.data(heads, timestep, window, noise);
             let inside = |other: &usize| window.range.contains(other);
             let before = timestep.checked_sub(1).filter(inside);
             let after = Some(timestep + 1).filter(inside);
@@ -481,11 +453,12 @@ impl<'a> Problem<'a> {
             self.add_priors(state(timestep), neighbours, &mut terms);
             terms
         };
+        let (size, _) = self.size(state(window.range.start));
         let mut system = System {
             shared: vec![0.0; shared * shared],
             shared_gradient: vec![0.0; shared],
             blocks: Vec::with_capacity(window.range.len()),
-            coupling: own.iter().map(|i| self.coupling(state(window.range.start), *i)).collect(),
+            coupling: own.iter().map(|i| self.coupling(size, *i)).collect(),
         };
         let mut cost = 0.0;
         let n = self.shared() + self.own();
@@ -583,7 +556,9 @@ impl<'a> Problem<'a> {
     }
 
     /// The landmarks of a timestep.
-    fn data(&self, heads: &Heads, timestep: usize, noise: f64) -> Terms {
+    fn data(&self, heads: &Heads, timestep: usize, window: &Window, noise: f64) -> Terms {
+        // Of shared parameters that are held, nothing is asked.
+        let asked = if window.identity { 0 } else { self.shared() };
         let n = self.shared() + self.own();
         let mut terms = Terms { cost: 0.0, hessian: vec![0.0; n * n], gradient: vec![0.0; n] };
         let views = &self.views[timestep];
@@ -628,7 +603,7 @@ impl<'a> Problem<'a> {
             if !seen {
                 continue;
             }
-            for (i, moves) in row.into_iter().enumerate() {
+            for (i, moves) in row.into_iter().enumerate().skip(asked) {
                 terms.gradient[i] += moves.dot(gradient);
                 for (axis, (moves, pull)) in
                     moves.to_array().into_iter().zip((information * moves).to_array()).enumerate()
@@ -639,7 +614,9 @@ impl<'a> Problem<'a> {
             }
             for (along, pulled) in along.chunks_exact(n).zip(pulled.chunks_exact(n)) {
                 for (i, &weight) in along.iter().enumerate().filter(|(_, weight)| **weight != 0.0) {
-                    for (sum, value) in terms.hessian[i * n..=i * n + i].iter_mut().zip(pulled) {
+                    for (sum, value) in
+                        terms.hessian[i * n + asked..=i * n + i].iter_mut().zip(&pulled[asked..])
+                    {
                         *sum += weight * value;
                     }
                 }
@@ -654,8 +631,17 @@ pub(super) fn landmarks_in(views: &[&LandmarkView]) -> usize {
     views.iter().map(|view| view.landmarks.iter().flatten().count()).sum()
 }
 
+/// The mean head at rest, with this many weights.
+fn rest(model: &HeadModel, identities: usize, expressions: usize) -> HeadState {
+    HeadState {
+        identity: vec![0.0; identities],
+        expressions: vec![0.0; expressions],
+        joints: vec![DQuat::IDENTITY; model.joints.len()],
+        translation: DVec3::ZERO,
+    }
+}
+
 /// A distance between two places on the head at rest, as a vector from one to the other.
-#[derive(Default)]
 pub(super) struct DistanceAtRest {
     /// Of the mean head.
     pub mean: DVec3,
@@ -664,6 +650,19 @@ pub(super) struct DistanceAtRest {
 }
 
 impl DistanceAtRest {
+    /// Between the means of some landmarks.
+    fn between(points: &HeadPoints, rest: &HeadState, from: &[usize], to: &[usize]) -> Self {
+        let (columns, identities, rest) = (points.columns(), rest.identity.len(), points.derivatives(rest));
+        let apart = |value: &dyn Fn(usize) -> DVec3| {
+            let mean = |of: &[usize]| of.iter().map(|l| value(*l)).sum::<DVec3>() / of.len() as f64;
+            mean(to) - mean(from)
+        };
+        Self {
+            mean: apart(&|landmark| rest.positions[landmark]),
+            shapes: (0..identities).map(|i| apart(&|l| rest.values[l * columns + i])).collect(),
+        }
+    }
+
     /// Its length, and how that grows with each identity weight.
     fn of(&self, identity: &[f64]) -> (f64, Vec<f64>) {
         let weighted = self.shapes.iter().zip(identity).map(|(shape, weight)| *shape * *weight);

@@ -146,7 +146,7 @@ impl Problem<'_> {
         let variance = |i: usize| covariance.as_ref().map_or(f64::INFINITY, |c| c[i * (s + d) + i]);
         let by_prior = |i: usize, deviation: f64| variance(i) > 0.5 * deviation * deviation;
 
-        let (positions, mut rows) = self.derivatives(heads, at);
+        let (_, mut rows) = self.derivatives(heads, at);
         // Of the head, not of where the detector puts its landmarks.
         rows.iter_mut().for_each(|row| row[self.identities..s].fill(DVec3::ZERO));
         let deviation = |slopes: Vec<f64>| {
@@ -171,10 +171,8 @@ impl Problem<'_> {
         let [x, y, depth] = axes.map(|axis| deviation(mean.iter().map(|slope| slope.dot(axis)).collect()));
 
         let [right, left] = EYE_CORNERS;
-        let turned = heads.states[at].joint(0);
-        let (size, _) = self.size(&heads.states[at]);
-        let corner = |landmark: usize| positions[landmark] - turned * heads.offsets[landmark] * size;
-        let apart = corner(left) - corner(right);
+        let positions = self.points.positions(&heads.states[at]);
+        let apart = positions[left] - positions[right];
         let along = apart.normalize_or_zero();
         let slopes = rows[left].iter().zip(&rows[right]).map(|(left, right)| (*left - *right).dot(along));
         let of_corners = deviation(slopes.collect());

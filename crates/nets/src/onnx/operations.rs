@@ -152,10 +152,7 @@ impl Graph {
         };
         let attributes =
             [("mode", Attribute::Text("linear")), ("coordinate_transformation_mode", Attribute::Text(grids))];
-        let scales = self.constant(&[1.0, 1.0, factor as f32, factor as f32], &[4]);
-        let [height, width] = x.size().map(|side| self.times(&side, &factor.into()));
-        let shape = vec![x.length(0), x.length(1), height, width];
-        self.apply("Resize", &[x, &Value::omitted(), &scales], &attributes, shape)
+        self.resized(x, factor, &attributes)
     }
 
     /// Each pixel `factor` times along each axis.
@@ -165,10 +162,14 @@ impl Graph {
             ("coordinate_transformation_mode", Attribute::Text("asymmetric")),
             ("nearest_mode", Attribute::Text("floor")),
         ];
+        self.resized(x, factor, &attributes)
+    }
+
+    fn resized(&mut self, x: &Value, factor: i64, attributes: &[(&'static str, Attribute)]) -> Value {
         let scales = self.constant(&[1.0, 1.0, factor as f32, factor as f32], &[4]);
         let [height, width] = x.size().map(|side| self.times(&side, &factor.into()));
         let shape = vec![x.length(0), x.length(1), height, width];
-        self.apply("Resize", &[x, &Value::omitted(), &scales], &attributes, shape)
+        self.apply("Resize", &[x, &Value::omitted(), &scales], attributes, shape)
     }
 
     /// 1 where `a` is greater than `b`, else 0.

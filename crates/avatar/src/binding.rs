@@ -3,6 +3,7 @@ mod backward;
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
 use srflow_head::{Splat, TriangleFrame};
+use srflow_simd::{Isa, Simd, dispatch};
 use srflow_splat::Gaussians;
 
 use crate::train::{GaussianAdam, LearningRates, ParameterGradients};
@@ -80,6 +81,7 @@ impl BoundGaussians {
 
     /// World Gaussian number `i` on a triangle in `frame`: `x' = k R x + T`, `scale' = k scale`, `q' = q_R q`. This is the
     /// definition; `world_into` computes all of them at once.
+    #[inline(always)]
     pub fn world(&self, i: usize, frame: &TriangleFrame) -> (Vec3, Vec3, Quat) {
         (
             frame.point(self.local.positions[i]),
@@ -122,21 +124,49 @@ impl BoundGaussians {
         out.opacities.clone_from(&self.local.opacities);
         out.sh.clone_from(&self.local.sh);
         const CHUNK: usize = 8192;
+        let isa = Isa::best();
         out.positions
             .par_chunks_mut(CHUNK)
             .zip(out.scales.par_chunks_mut(CHUNK))
             .zip(out.rotations.par_chunks_mut(CHUNK))
             .enumerate()
             .for_each(|(chunk, ((positions, scales), rotations))| {
-                let start = chunk * CHUNK;
-                for (j, ((position, scale), rotation)) in
-                    positions.iter_mut().zip(scales).zip(rotations).enumerate()
-                {
-                    let i = start + j;
-                    let frame = &frames[self.triangles[i] as usize];
-                    (*position, *scale, *rotation) = self.world(i, frame);
-                }
+                world_chunk(isa, self, frames, chunk * CHUNK, positions, scales, rotations);
             });
+    }
+}
+
+dispatch! {
+    /// [`BoundGaussians::world`] of the Gaussians from number `start` on.
+    fn world_chunk = world_kernel(
+        bound: &BoundGaussians,
+        frames: &[TriangleFrame],
+        start: usize,
+        positions: &mut [Vec3],
+        scales: &mut [Vec3],
+        rotations: &mut [Quat],
+    )
+}
+
+#[inline(always)]
+fn world_kernel<S: Simd>(
+    s: S,
+    bound: &BoundGaussians,
+    frames: &[TriangleFrame],
+    start: usize,
+    positions: &mut [Vec3],
+    scales: &mut [Vec3],
+    rotations: &mut [Quat],
+) {
+    /// Frames are fetched so many Gaussians ahead: they lie anywhere, and another thread may have written them.
+    const AHEAD: usize = 16;
+    let moved = positions.iter_mut().zip(scales).zip(rotations);
+    for (i, ((position, scale), rotation)) in (start..).zip(moved) {
+        if let Some(&ahead) = bound.triangles.get(i + AHEAD) {
+            s.prefetch(&frames[ahead as usize]);
+        }
+        let frame = &frames[bound.triangles[i] as usize];
+        (*position, *scale, *rotation) = bound.world(i, frame);
     }
 }
 

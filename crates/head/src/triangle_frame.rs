@@ -28,6 +28,7 @@ impl TriangleFrame {
     }
 
     /// World point of a local point: `k R x + T`.
+    #[inline]
     pub fn point(&self, local: Vec3) -> Vec3 {
         self.rotation * (local * self.scale) + self.origin
     }

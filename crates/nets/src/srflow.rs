@@ -13,8 +13,7 @@ use std::sync::LazyLock;
 
 use burn::module::Module;
 use burn::tensor::activation::relu;
-use burn::tensor::module::avg_pool2d;
-use burn::tensor::ops::{AvgPoolOptions, PadMode};
+use burn::tensor::ops::PadMode;
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use srflow_classical::{TvL1, TvL1Parameters};
@@ -23,6 +22,8 @@ use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation::{Identity, LeakyRelu};
 use srflow_ops::concatenate;
+use srflow_ops::convolution::Epilogue;
+use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::lucas_kanade::tensor::lucas_kanade;
 use srflow_ops::lucas_kanade::{CELL, LucasKanade, PER_WINDOW};
 use srflow_ops::space_to_depth::tensor::space_to_depth;
@@ -93,6 +94,10 @@ pub(crate) const FINE_UP_TO: usize = 1 << 17;
 /// Larger frames, padded, start from what the network finds at half of their size: it was trained on frames of 440x640.
 const COARSE_ABOVE: usize = 1 << 20;
 
+/// A static: the table is a constant, of which a program holds a copy for each use.
+static WEIGHTS: [u8; include_bytes!("../weights/srflow.safetensors").len()] =
+    *include_bytes!("../weights/srflow.safetensors");
+
 pub(crate) const SRFLOW: Entry<SrFlow> = Entry {
     facts: Facts {
         name: "srflow",
@@ -107,7 +112,7 @@ pub(crate) const SRFLOW: Entry<SrFlow> = Entry {
         log_scale_range: LOG_SCALE_RANGE,
         memory: MemoryNeed { fixed: 325_000_000, per_pixel: 343, attending: 0, most_weights: 0 },
         in_ptlflow: false,
-        included: Some(include_bytes!("../weights/srflow.safetensors")),
+        included: Some(&WEIGHTS),
         licence: "MIT OR Apache-2.0",
         ..Facts::DEFAULT
     },
@@ -375,9 +380,25 @@ fn blend(share: Tensor<4>, one: Tensor<4>, other: Tensor<4>) -> Tensor<4> {
 
 /// Mean absolute difference around each cell.
 fn residual(first: &Tensor<4>, warped: &Tensor<4>) -> Tensor<4> {
-    let of_cells = halved((first.clone() - warped.clone()).abs().mean_dim(1));
-    let around = AvgPoolOptions::new([2 * AROUND + 1; 2]).with_stride([1; 2]).with_padding([AROUND; 2]);
-    avg_pool2d(of_cells, around.with_count_include_pad(false))
+    mean_around(halved((first.clone() - warped.clone()).abs().mean_dim(1)))
+}
+
+/// The mean over [`AROUND`] cells to each side of every cell of a map of one channel, as far as there are any.
+fn mean_around(cells: Tensor<4>) -> Tensor<4> {
+    const SIDE: usize = 2 * AROUND + 1;
+    let [_, _, height, width] = cells.dims();
+    let device = cells.device();
+    let sum = |x: Tensor<4>, kernel: [usize; 2]| {
+        let ones = Tensor::ones([1, 1, kernel[0], kernel[1]], &device);
+        depthwise(x, ones, Epilogue::default(), kernel.map(|side| side / 2))
+    };
+    let counted = |len: usize| {
+        (0..len).map(move |at| (at.min(AROUND) + 1 + (len - 1 - at).min(AROUND)) as f32).collect::<Vec<f32>>()
+    };
+    let counts =
+        |len: usize, shape: [usize; 4]| Tensor::<4>::from_data(TensorData::new(counted(len), shape), &device);
+    let sums = sum(sum(cells, [SIDE, 1]), [1, SIDE]);
+    sums / counts(height, [1, 1, height, 1]) / counts(width, [1, 1, 1, width])
 }
 
 /// Each cell as its pixels.
@@ -391,8 +412,12 @@ fn nearest_twice(x: Tensor<4>) -> Tensor<4> {
 /// `flow` without what alternates from pixel to pixel: the learned weights of upsampling repeat in each cell, and would leave that as a
 /// lattice in the strain. Means over 1, 2, 1 along each axis are zero for it.
 fn without_lattice(flow: Tensor<4>) -> Tensor<4> {
-    let pair = || AvgPoolOptions::new([2; 2]).with_stride([1; 2]);
-    avg_pool2d(avg_pool2d(flow.pad((1, 1, 1, 1), PadMode::Edge), pair()), pair())
+    const ALONG: [f32; 3] = [0.25, 0.5, 0.25];
+    let [_, channels, _, _] = flow.dims();
+    let kernel = ALONG.map(|down| ALONG.map(|across| down * across));
+    let kernels = TensorData::new(kernel.as_flattened().repeat(channels), [channels, 1, 3, 3]);
+    let kernels = Tensor::from_data(kernels, &flow.device());
+    depthwise(flow.pad((1, 1, 1, 1), PadMode::Edge), kernels, Epilogue::default(), [0, 0])
 }
 
 /// A flow in cells as one of the pixels of the frames.
@@ -452,7 +477,8 @@ fn between(method: &TvL1, frames: [Tensor<4>; 2]) -> Tensor<4> {
 
 /// `x` at half of the size.
 fn halved(x: Tensor<4>) -> Tensor<4> {
-    avg_pool2d(x, AvgPoolOptions::new([2; 2]))
+    let [_, _, height, width] = x.dims();
+    resize(x, [height / 2, width / 2], Grids::EdgesOnEdges)
 }
 
 /// `x` at twice the size.

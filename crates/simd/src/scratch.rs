@@ -45,14 +45,15 @@ impl<E: Element> Scratch<E> {
     pub fn of(len: usize) -> Self {
         let fitting = |kept: &RefCell<Vec<Vec<E>>>| {
             let mut kept = kept.borrow_mut();
-            // The shortest that is long enough, or else the longest, which grows.
+            // The shortest that is long enough, or else the longest, which is replaced.
             let place = |memory: &Vec<E>| (memory.len() < len, memory.len().abs_diff(len));
             let (number, _) = kept.iter().enumerate().min_by_key(|(_, memory)| place(memory))?;
             Some(kept.swap_remove(number))
         };
         let mut memory = E::kept().try_with(fitting).ok().flatten().unwrap_or_default();
         if memory.len() < len {
-            memory.resize(len, E::default());
+            // A new vector: growing would copy what nobody reads.
+            memory = vec![E::default(); len];
         }
         Self { memory, len }
     }

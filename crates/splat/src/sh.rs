@@ -121,6 +121,7 @@ fn directions() -> impl Iterator<Item = (DVec3, f64)> {
 }
 
 /// Colour seen along `direction` (from the camera to the Gaussian, of any length): `max(0, 0.5 + sum)`.
+#[inline]
 pub(crate) fn color<T: Copy + Into<f64>>(degree: usize, sh: &[[T; 3]], direction: DVec3) -> [f64; 3] {
     let basis = basis(degree, if degree == 0 { direction } else { direction.normalize() });
     let mut color = [0.5; 3];

@@ -17,7 +17,7 @@ use crate::Watch;
 use crate::error::wrong_settings;
 
 /// The default device.
-const CPU: &str = "cpu";
+pub(crate) const CPU: &str = "cpu";
 
 /// Where the weights of a network are.
 pub enum Weights {

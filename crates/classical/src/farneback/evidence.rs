@@ -128,13 +128,15 @@ multiversioned! {
             let columns = part.columns.start + block..(part.columns.start + block + BLOCK).min(part.columns.end);
             let fits = compare_fits(first, second, part.y, columns, &u, &v);
 
+            // Coefficient by coefficient, so that the loop becomes vector instructions.
+            let coefficient = |number: usize| std::array::from_fn::<f32, BLOCK, _>(|i| fits[i][number]);
+            let [dx, dy, xx, yy, xy] = [0, 1, 2, 3, 4].map(coefficient);
             let mut evidence = [[0.0_f32; BLOCK]; CHANNELS];
             for i in 0..BLOCK {
-                let [dx, dy, xx, yy, xy, ..] = fits[i];
                 let scale = weight[i] * row_weight;
-                let dx = (dx + (xx * u[i] + xy * v[i])) * scale;
-                let dy = (dy + (yy * v[i] + xy * u[i])) * scale;
-                let (xx, yy, xy) = (xx * scale, yy * scale, xy * scale);
+                let dx = (dx[i] + (xx[i] * u[i] + xy[i] * v[i])) * scale;
+                let dy = (dy[i] + (yy[i] * v[i] + xy[i] * u[i])) * scale;
+                let (xx, yy, xy) = (xx[i] * scale, yy[i] * scale, xy[i] * scale);
                 evidence[0][i] = yy * yy + xy * xy;
                 evidence[1][i] = (yy + xx) * xy;
                 evidence[2][i] = xx * xx + xy * xy;
@@ -162,16 +164,16 @@ fn compare_fits(
     let (width, height) = (first.width, first.height);
     let (last_x, last_y) = (width.saturating_sub(1) as f32, height.saturating_sub(1) as f32);
     let mut corners = [[0.0_f32; BLOCK]; 4];
-    let mut left = [0_i32; BLOCK];
-    let mut top = [0_i32; BLOCK];
+    let mut left = [0_u32; BLOCK];
+    let mut top = [0_u32; BLOCK];
     let mut inside = [false; BLOCK];
     for i in 0..BLOCK {
         let (target_x, target_y) = ((columns.start + i) as f32 + u[i], y as f32 + v[i]);
         let (whole_x, whole_y) = (target_x.floor(), target_y.floor());
         let (fx, fy) = (target_x - whole_x, target_y - whole_y);
-        inside[i] = whole_x >= 0.0 && whole_y >= 0.0 && whole_x < last_x && whole_y < last_y;
-        left[i] = if inside[i] { whole_x as i32 } else { 0 };
-        top[i] = if inside[i] { whole_y as i32 } else { 0 };
+        inside[i] = (whole_x >= 0.0) & (whole_y >= 0.0) & (whole_x < last_x) & (whole_y < last_y);
+        left[i] = whole_number(if inside[i] { whole_x } else { 0.0 });
+        top[i] = whole_number(if inside[i] { whole_y } else { 0.0 });
         corners[0][i] = (1.0 - fx) * (1.0 - fy);
         corners[1][i] = fx * (1.0 - fy);
         corners[2][i] = (1.0 - fx) * fy;
@@ -198,6 +200,13 @@ fn compare_fits(
         }
     }
     fits
+}
+
+/// A whole number from 0 to 2^23 - 1, which no image exceeds; a cast, which also has to serve all other numbers, is not vectorized.
+#[inline(always)]
+fn whole_number(x: f32) -> u32 {
+    const MANTISSA: u32 = (1 << 23) - 1;
+    (x + (1_u32 << 23) as f32).to_bits() & MANTISSA
 }
 
 /// The coefficients of a pixel and three unused numbers: a whole vector register.

@@ -16,7 +16,8 @@ type Lanes = [f32; BLOCK];
 pub fn filter(filtered: &mut State, state: &State, side: usize) {
     let layout = state.layout;
     let radius = side / 2;
-    filtered.rows.par_chunks_exact_mut(layout.unknowns()).enumerate().for_each_init(
+    let lines = filtered.rows.par_chunks_exact_mut(layout.unknowns()).enumerate();
+    lines.with_min_len(layout.rows_per_task()).for_each_init(
         || vec![vec![0.0; (layout.width + 2 * radius).next_multiple_of(BLOCK) + BLOCK]; side],
         |window, (y, out)| {
             out.copy_from_slice(state.row(y));

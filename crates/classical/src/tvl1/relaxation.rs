@@ -17,6 +17,8 @@ const CACHE: usize = 640 << 10;
 
 /// Bands per thread: more than one, to balance the load.
 const BANDS_PER_THREAD: usize = 4;
+/// Fewest rows of a band, in iterations: the rows of its neighbours, which it computes too, are at most a third as many.
+const ROWS_PER_ITERATION: usize = 3;
 
 /// Constants of an iteration, in OpenCV's precision.
 #[derive(Debug, Clone, Copy)]
@@ -95,7 +97,7 @@ impl Relaxation {
     fn advance(&mut self, iterations: usize) -> Vec<f64> {
         let layout = self.state.layout;
         let bands = BANDS_PER_THREAD * rayon::current_num_threads();
-        let band_height = layout.height.div_ceil(bands).max(iterations);
+        let band_height = layout.height.div_ceil(bands).max(ROWS_PER_ITERATION * iterations);
         let (state, linearized, constants) = (&self.state, &self.linearized, self.constants);
         let bands = self.next.rows.par_chunks_mut(band_height * layout.unknowns()).enumerate();
         let changes: Vec<Vec<f64>> = bands
@@ -160,6 +162,12 @@ impl<'a> Band<'a> {
         let last = (end + self.iterations).min(layout.height);
         let mut changes = vec![0.0; (end - self.start) * self.iterations];
         let rows = layout.unknowns();
+        // A row depends on its neighbours of the iteration before: each iteration needs a row less beyond the band, to either side.
+        let rows_of = |i: usize| {
+            let low = if first == 0 { 0 } else { first + i };
+            let high = if last == layout.height { last } else { last - i };
+            low..high
+        };
         // At step `y` iteration `i` computes the values of row `y - i` and the dual variables of the row above it.
         for y in first..last + self.iterations {
             if y < last {
@@ -168,14 +176,15 @@ impl<'a> Band<'a> {
             }
             for i in 0..self.iterations {
                 let Some(row) = y.checked_sub(i).filter(|row| *row >= first) else { break };
-                if row < last {
+                let needed = rows_of(i);
+                if needed.contains(&row) {
                     let change = self.update_values(row, row == first);
                     if (self.start..end).contains(&row) {
                         changes[(row - self.start) * self.iterations + i] = change;
                     }
                 }
-                if row > first && row <= last {
-                    self.update_duals(row - 1, row == last);
+                if row > needed.start && (row < needed.end || row == layout.height) {
+                    self.update_duals(row - 1, row == layout.height);
                 }
             }
             let Some(done) = y.checked_sub(self.iterations) else { continue };

@@ -142,8 +142,8 @@ impl Rays {
         let origin = p + normal * (0.0007 * size);
         let reach = 0.18 * size;
         let seen = |rays: &[Vec3], world: &dyn Fn(Vec3) -> Vec3| {
-            let free = rays.iter().map(|&d| world(d)).filter(|&d| !occluder.blocks(origin, d, reach));
-            free.count() as f32 / rays.len() as f32
+            let blocked = occluder.blocked(origin, rays.iter().map(|&d| world(d)), reach);
+            (rays.len() - blocked as usize) as f32 / rays.len() as f32
         };
         Exposure {
             sky: seen(&self.sky, &|d| right * d.x + up * d.y + normal * d.z),

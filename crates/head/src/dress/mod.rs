@@ -111,12 +111,22 @@ fn near_triangles(surface: &Surface, regions: &[Region], p: Vec3, reach: f32) ->
 
 /// The point of `triangles` nearest to `p`.
 fn nearest_point(surface: &Surface, triangles: &[u32], p: Vec3) -> Option<SurfacePoint> {
-    let nearest = triangles.iter().map(|&t| {
-        let weights = nearest_weights(surface.corners(t), p);
+    let mut nearest = None;
+    let mut least = f32::INFINITY;
+    for &t in triangles {
+        // No point of a triangle is nearer than its centroid by more than its radius; a little more, for rounding.
+        let reach = least.sqrt() * 1.001 + surface.radii[t as usize] * 1.001;
+        if surface.frames[t as usize].origin.distance_squared(p) > reach * reach {
+            continue;
+        }
         let [a, b, c] = surface.corners(t);
-        (t, weights, (a * weights.x + b * weights.y + c * weights.z).distance_squared(p))
-    });
-    nearest.min_by(|a, b| a.2.total_cmp(&b.2)).map(|(t, weights, _)| surface.point(t, weights))
+        let weights = nearest_weights([a, b, c], p);
+        let distance = (a * weights.x + b * weights.y + c * weights.z).distance_squared(p);
+        if distance < least {
+            (nearest, least) = (Some((t, weights)), distance);
+        }
+    }
+    nearest.map(|(t, weights)| surface.point(t, weights))
 }
 
 /// Barycentric coordinates of the point of a triangle nearest to `p` (Ericson, *Real-Time Collision Detection*, 5.1.5).

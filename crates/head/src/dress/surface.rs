@@ -26,6 +26,8 @@ pub(super) struct Surface<'a> {
     /// Vertex normals, unit length.
     pub normals: Vec<Vec3>,
     pub frames: Vec<TriangleFrame>,
+    /// Distance of each triangle's farthest corner from its centroid, metres.
+    pub radii: Vec<f32>,
     /// The 68 landmarks in dlib's order.
     pub landmarks: Vec<Vec3>,
     /// Size of the head: distance between the centres of the eyes divided by that of an average adult.
@@ -49,9 +51,17 @@ impl<'a> Surface<'a> {
         for normal in &mut normals {
             *normal = normal.normalize_or(Vec3::Y);
         }
-        let frames = model.triangles.iter().map(|t| {
-            let [a, b, c] = corners(t);
-            TriangleFrame::of(a, b, c)
+        let frames: Vec<TriangleFrame> = model
+            .triangles
+            .iter()
+            .map(|t| {
+                let [a, b, c] = corners(t);
+                TriangleFrame::of(a, b, c)
+            })
+            .collect();
+        let radii = frames.iter().zip(&model.triangles).map(|(frame, t)| {
+            let distances = corners(t).map(|corner| corner.distance(frame.origin));
+            distances.into_iter().fold(0.0, f32::max)
         });
         let eyes = model.eye_centres(shaped).unwrap_or_default();
         Self {
@@ -59,7 +69,8 @@ impl<'a> Surface<'a> {
             vertices,
             eyes,
             normals,
-            frames: frames.collect(),
+            radii: radii.collect(),
+            frames,
             landmarks: model.landmarks_on(vertices).collect(),
             size: (eyes[0].distance(eyes[1]) / AVERAGE_EYE_DISTANCE).clamp(0.2, 5.0),
         }
@@ -125,13 +136,13 @@ impl<'a> Surface<'a> {
                 if u + v > 1.0 {
                     (u, v) = (1.0 - u, 1.0 - v);
                 }
-                darts.push(self.point(t, Vec3::new(1.0 - u - v, u, v)));
+                darts.push((t, u, v));
             }
         }
         stream.shuffle(&mut darts);
         let mut crowd = Crowd::new(narrowest, widest);
-        darts.retain(|dart| crowd.admit(dart.position, spacing(dart)));
-        darts
+        let points = darts.into_iter().map(|(t, u, v)| self.point(t, Vec3::new(1.0 - u - v, u, v)));
+        points.filter(|point| crowd.admit(point.position, spacing(point))).collect()
     }
 
     /// Signed distance of each vertex to the border between `regions` and all others, metres, positive inside.

@@ -28,6 +28,7 @@ impl fmt::Display for Source {
 }
 
 /// A frame and its names.
+#[derive(Clone)]
 pub struct Frame {
     /// For messages and reports.
     pub label: String,

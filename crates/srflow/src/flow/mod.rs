@@ -28,6 +28,7 @@ use crate::convert::ensure_positive;
 use crate::error::wrong_settings;
 use crate::face::{FaceArgs, FoundFace};
 use crate::methods;
+use crate::networks::CPU;
 use crate::rendering::{Rendered, ShardArgs};
 use crate::video::{VideoWriter, is_video};
 use crate::watch::Count;
@@ -386,6 +387,11 @@ fn cropped(frame: Frame, crop: &FrameCrop, folder: Option<&Path>) -> anyhow::Res
 /// long to decode as its flow to encode, and both less than the estimation.
 const AHEAD: usize = 1;
 
+/// Pairs that are estimated one after another while as many others are: much of a method waits for a single thread.
+const PAIRS_BESIDE_OTHERS: usize = 4;
+/// Pixels of the largest frames that are estimated beside others, which takes the memory of two.
+const PIXELS_BESIDE_OTHERS: usize = 1 << 20;
+
 /// From frames to files.
 struct Work<'a> {
     job: &'a FlowJob,
@@ -421,10 +427,11 @@ impl Work<'_> {
         initial: Option<&FlowField>,
     ) -> anyhow::Result<Vec<EstimatedPair>> {
         let mut sequence = self.estimator.sequence(self.job.warm_start);
-        let mut last = None;
-        let estimate = |frames: Vec<Frame>| match initial {
-            Some(initial) => self.pair_from(frames, initial),
-            None => self.next(sequence.as_mut(), &mut last, frames),
+        let (mut last, mut last_frame) = (None, None);
+        let estimate = |frames: Vec<Frame>| match (initial, frames.first()) {
+            (Some(initial), _) => self.pair_from(frames, initial),
+            (None, Some(first)) if self.runs_beside_others(first) => self.next_two(&mut last_frame, frames),
+            (None, _) => self.next(sequence.as_mut(), &mut last, frames),
         };
         let (mut video, mut reports) = (None, Vec::new());
         in_stages(
@@ -445,11 +452,22 @@ impl Work<'_> {
         Ok(reports)
     }
 
+    /// Whether the pairs of these frames are independent of each other, and small enough for two at once.
+    fn runs_beside_others(&self, frame: &Frame) -> bool {
+        let independent =
+            !self.job.warm_start && !self.estimator.remembers() && self.job.initial_flow.is_none();
+        let (width, height) = frame.image.size();
+        independent
+            && width * height <= PIXELS_BESIDE_OTHERS
+            && self.job.parameters.network.device == CPU
+            && rayon::current_num_threads() > 1
+    }
+
     /// The frames, except the first `skip`, in batches: the first has one frame more, as it takes two for a
     /// pair.
     fn read(&self, skip: u64, crop: &FrameCrop, give: &mut dyn FnMut(anyhow::Result<Vec<Frame>>) -> bool) {
         let batch = self.job.parameters.network.batch;
-        let (mut frames, mut wanted, mut more) = (Vec::new(), batch + 1, true);
+        let (mut frames, mut together, mut wanted, mut more) = (Vec::new(), None, 0, true);
         self.source.read(skip, 1, |frame| {
             if self.watch.stops() {
                 self.stopped.store(true, Ordering::Relaxed);
@@ -458,16 +476,27 @@ impl Work<'_> {
                 return more;
             }
             match frame.and_then(|frame| cropped(frame, crop, self.job.save_crops.as_deref())) {
-                Ok(frame) => frames.push(frame),
+                Ok(frame) => {
+                    together.get_or_insert_with(|| {
+                        let beside = self.runs_beside_others(&frame);
+                        let pairs = if beside { 2 * batch.max(PAIRS_BESIDE_OTHERS) } else { batch };
+                        wanted = pairs + 1;
+                        pairs
+                    });
+                    frames.push(frame);
+                }
                 Err(error) => {
-                    frames.clear();
+                    // Those before it are estimated.
+                    if !frames.is_empty() {
+                        give(Ok(std::mem::take(&mut frames)));
+                    }
                     give(Err(error));
                     more = false;
                 }
             }
             if frames.len() == wanted {
                 more = give(Ok(std::mem::take(&mut frames)));
-                wanted = batch;
+                wanted = together.unwrap_or(batch);
             }
             more
         });
@@ -516,6 +545,30 @@ impl Work<'_> {
         });
         let pairs = pairs.collect();
         *last = names.pop();
+        Ok(pairs)
+    }
+
+    /// The pairs that end at `frames`, in two halves at the same time. `last` is the frame before them, and then the last.
+    fn next_two(&self, last: &mut Option<Frame>, frames: Vec<Frame>) -> anyhow::Result<Vec<Pair>> {
+        let frames: Vec<Frame> = last.take().into_iter().chain(frames).collect();
+        let start = Instant::now();
+        let middle = (frames.len() - 1).div_ceil(2);
+        let half = |frames: &[Frame]| -> anyhow::Result<Vec<Pair>> {
+            let mut sequence = self.estimator.sequence(false);
+            let (mut pairs, mut last) = (Vec::new(), None);
+            let batch = self.job.parameters.network.batch;
+            let (first, others) = frames.split_at(1);
+            for frames in std::iter::once(first).chain(others.chunks(batch)) {
+                pairs.extend(self.next(sequence.as_mut(), &mut last, frames.to_vec())?);
+            }
+            Ok(pairs)
+        };
+        let (before, after) = rayon::join(|| half(&frames[..=middle]), || half(&frames[middle..]));
+        let mut pairs = before?;
+        pairs.extend(after?);
+        let seconds = start.elapsed().as_secs_f64() / pairs.len().max(1) as f64;
+        pairs.iter_mut().for_each(|pair| pair.seconds = seconds);
+        *last = frames.into_iter().next_back();
         Ok(pairs)
     }
 

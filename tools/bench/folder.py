@@ -39,8 +39,7 @@ def main():
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--srflow", default=str(ROOT / "target/release/srflow"))
-    history.add_option(parser)
-    args = parser.parse_args()
+    args = history.parse(parser)
     width, height = map(int, args.size.split("x"))
     cv2.setNumThreads(args.threads)
     ours, theirs = [], []

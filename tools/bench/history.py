@@ -9,8 +9,22 @@ from pathlib import Path
 FOLDER = Path(__file__).parent / "history"
 
 
-def add_option(parser):
+# Processes that wait for a processor, on average over a minute: more than this measures scheduling.
+MOST_LOAD = 0.5
+
+
+def parse(parser):
+    """Parses the arguments, and refuses to measure on a busy machine."""
     parser.add_argument("--record", action="store_true", help="append the results to tools/bench/history")
+    parser.add_argument("--busy", action="store_true", help=f"measure although the load is above {MOST_LOAD}")
+    args = parser.parse_args()
+    # The benchmarks run themselves again, which is their own load.
+    if hasattr(os, "getloadavg") and getattr(args, "side", None) is None:
+        load = os.getloadavg()[0]
+        print(f"load before the start: {load:.2f}", file=sys.stderr)
+        if load > MOST_LOAD and not args.busy:
+            sys.exit(f"error: the load is above {MOST_LOAD}; wait until the machine is idle, or give --busy")
+    return args
 
 
 def append(topic, ours, peer, note):

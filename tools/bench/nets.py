@@ -119,10 +119,9 @@ def main():
     parser.add_argument("--ours", nargs="+", default=["f32"], choices=["f32", "bf16"])
     parser.add_argument("--theirs", nargs="*", default=["f32"], choices=["f32", "bf16", "compiled", "compiled-bf16"])
     parser.add_argument("--timing", default=str(ROOT / "target/release/examples/timing"), help="our side")
-    history.add_option(parser)
     parser.add_argument("--side", nargs=10, help=argparse.SUPPRESS)
     parser.add_argument("--weights", nargs=2, help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    args = history.parse(parser)
     if args.side:
         mode, network, iterations, threads, repeats, weights, pixels, out, height, width = args.side
         reference(

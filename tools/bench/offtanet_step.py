@@ -67,8 +67,7 @@ def main():
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--program", default=str(ROOT / "target/release/examples/offtanet_step"))
-    history.add_option(parser)
-    args = parser.parse_args()
+    args = history.parse(parser)
     for name, folds, ours_of, theirs_of in [
         ("one fold", 1, lambda: srflow(args.program, 0, args.cores, args.steps), lambda: pytorch(args.cores, args.steps)),
         (

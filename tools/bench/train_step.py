@@ -95,10 +95,9 @@ def main():
         help="autocast to bf16, the block that is iterated compiled by torch.compile, or both",
     )
     parser.add_argument("--set", action="append", default=[], help="passed on to srflow train")
-    history.add_option(parser)
     parser.add_argument("--only", choices=["srflow", "torch"])
     parser.add_argument("--srflow", default=str(ROOT / "target/release/srflow"))
-    args = parser.parse_args()
+    args = history.parse(parser)
     width, height = map(int, args.crop.split("x"))
     print(f"{args.network}, {args.crop}, batch {args.batch}, {args.iterations} iterations, {args.threads} threads")
     results = {}

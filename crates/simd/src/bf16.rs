@@ -2,7 +2,8 @@
 //!
 //! The sum of a [`Pair`]'s products is defined as the processors with AVX512-BF16 compute it (`VDPBF16PS`, Intel SDM volume 2): the
 //! product of the second factors is added first, then that of the first factors, each rounded to the nearest `f32`, and
-//! subnormal numbers are zeros. Where the instruction is missing the same bits are computed by two fused multiply-adds.
+//! subnormal numbers are zeros. Where the instruction is missing the same bits are computed by two fused multiply-adds. Processors with AMX
+//! sum in another order, which [`crate::amx`] defines.
 
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::*;
@@ -371,6 +372,14 @@ fn is_as_defined(native: Avx512Bf16) -> bool {
 }
 
 impl Isa {
+    /// Whether products of bfloat16 have sums in the order of AMX, unlike those of other processors: they differ in the last bits.
+    pub fn sums_bf16_in_tiles(self) -> bool {
+        #[cfg(target_arch = "x86_64")]
+        return crate::amx::Amx::of(self).is_some();
+        #[cfg(not(target_arch = "x86_64"))]
+        false
+    }
+
     /// Whether the processor multiplies bfloat16 by itself, twice as many at once as `f32`: AVX512-BF16.
     pub fn multiplies_bf16(self) -> bool {
         #[cfg(target_arch = "x86_64")]

@@ -5,6 +5,8 @@
 
 use std::marker::PhantomData;
 
+#[cfg(target_arch = "x86_64")]
+use crate::amx::{self, Amx};
 use crate::{
     Activation, Isa, Left, MAX_LANES, Multiply, Numbers, Pair, Precision, Scratch, Simd, dispatch,
     dispatch_pairs, pair_rows,
@@ -193,7 +195,13 @@ pub fn multiply(isa: Isa, product: &Product, out: &mut Output) {
         // SAFETY: the bounds of every read and write were checked.
         Left::F32(_) => unsafe { multiply_unchecked(isa, product, sides, out) },
         // SAFETY: as above.
-        Left::Bf16(_) => unsafe { multiply_pairs_unchecked(isa, product, sides, out) },
+        Left::Bf16(_) => unsafe {
+            #[cfg(target_arch = "x86_64")]
+            if let Some(amx) = amx_for(isa, product, sides) {
+                return multiply_in_tiles::<false>(amx, product, sides, out);
+            }
+            multiply_pairs_unchecked(isa, product, sides, out)
+        },
     });
     out.mark_filled(product.rows, product.columns);
 }
@@ -214,7 +222,13 @@ pub fn multiply_to_pairs(isa: Isa, product: &Product, out: &mut [Pair], panel: u
     with_sides(isa, product, |sides| match product.left {
         Left::F32(_) => panic!("a product of numbers gives no pairs"),
         // SAFETY: the bounds of every read and write were checked.
-        Left::Bf16(_) => unsafe { multiply_pairs_to_pairs_unchecked(isa, product, sides, &out) },
+        Left::Bf16(_) => unsafe {
+            #[cfg(target_arch = "x86_64")]
+            if let Some(amx) = amx_for(isa, product, sides) {
+                return multiply_in_tiles::<true>(amx, product, sides, &out);
+            }
+            multiply_pairs_to_pairs_unchecked(isa, product, sides, &out)
+        },
     });
 }
 
@@ -302,7 +316,7 @@ dispatch! {
 #[inline(always)]
 unsafe fn multiply_numbers<S: Simd>(s: S, product: &Product, sides: &Sides, output: &Output) {
     // SAFETY: the caller checked the bounds.
-    unsafe { multiply_kernel::<S, Numbers, false>(s, Numbers, product, sides, output) }
+    unsafe { multiply_kernel::<S, Numbers, false>(s, Numbers, product, sides, output, 0) }
 }
 
 #[inline(always)]
@@ -314,7 +328,7 @@ unsafe fn multiply_to_numbers<S: Simd, M: Multiply<S>>(
     output: &Output,
 ) {
     // SAFETY: the caller checked the bounds.
-    unsafe { multiply_kernel::<S, M, false>(s, how, product, sides, output) }
+    unsafe { multiply_kernel::<S, M, false>(s, how, product, sides, output, 0) }
 }
 
 #[inline(always)]
@@ -326,7 +340,7 @@ unsafe fn multiply_to_pairs_kernel<S: Simd, M: Multiply<S>>(
     output: &Output,
 ) {
     // SAFETY: the caller checked the bounds.
-    unsafe { multiply_kernel::<S, M, true>(s, how, product, sides, output) }
+    unsafe { multiply_kernel::<S, M, true>(s, how, product, sides, output, 0) }
 }
 
 #[inline(always)]
@@ -362,7 +376,47 @@ unsafe fn multiply_diagonal_kernel<S: Simd>(s: S, factors: &[f32], product: &Pro
     }
 }
 
-/// If `PAIRS`, the rows of the output are rounded two by two.
+/// AMX, for a product of pairs that is large enough for it.
+#[cfg(target_arch = "x86_64")]
+fn amx_for(isa: Isa, product: &Product, sides: &Sides) -> Option<Amx> {
+    (product.rows >= amx::ROWS && sides.depth >= amx::LEAST).then(|| Amx::of(isa)).flatten()
+}
+
+/// [`multiply_kernel`] with AMX where its tiles fit.
+///
+/// # Safety
+/// As for [`multiply_pairs_unchecked`], or if `PAIRS` for [`multiply_pairs_to_pairs_unchecked`]; the product is one of [`amx_for`].
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512bf16,avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,popcnt")]
+unsafe fn multiply_in_tiles<const PAIRS: bool>(amx: Amx, product: &Product, sides: &Sides, output: &Output) {
+    const ROWS: usize = amx::ROWS;
+    let s = amx.pairs().avx512();
+    let width = VECTORS * crate::Avx512::LANES;
+    let tiles = amx::Tiles::new(amx);
+    let mut left = Scratch::<f32>::of(sides.depth.next_multiple_of(amx::BLOCK) * ROWS);
+    let (whole, arranged) = (product.rows / ROWS * ROWS, amx::arranged(sides.depth));
+    for first in (0..whole).step_by(ROWS) {
+        // SAFETY: the caller checked the bounds; blocks of the left side have as many rows as tiles.
+        unsafe {
+            let block = sides.left.add(first * sides.depth);
+            amx::arrange(s, block, sides.depth, left.as_mut_ptr());
+            for panel in 0..product.columns.div_ceil(width) {
+                let columns = width.min(product.columns - panel * width);
+                let at = [first, panel, columns];
+                tile::<_, _, ROWS, PAIRS>(s, amx, product, sides, output, at, |right, values| {
+                    amx::accumulate(&tiles, left.as_ptr(), right, sides.depth, values);
+                    let (block, right) = (block.add(arranged * ROWS), right.add(arranged * width));
+                    let rest = sides.depth - arranged;
+                    accumulate::<_, _, ROWS, VECTORS>(s, amx, block, right, rest, values);
+                });
+            }
+        }
+    }
+    // SAFETY: the caller checked the bounds.
+    unsafe { multiply_kernel::<_, _, PAIRS>(s, amx, product, sides, output, whole) }
+}
+
+/// From row `first` on, which begins a block. If `PAIRS`, the rows of the output are rounded two by two.
 #[inline(always)]
 unsafe fn multiply_kernel<S: Simd, M: Multiply<S>, const PAIRS: bool>(
     s: S,
@@ -370,9 +424,9 @@ unsafe fn multiply_kernel<S: Simd, M: Multiply<S>, const PAIRS: bool>(
     product: &Product,
     sides: &Sides,
     output: &Output,
+    mut first: usize,
 ) {
     let width = VECTORS * S::LANES;
-    let mut first = 0;
     while first < product.rows {
         let rows = S::TILE_ROWS.min(product.rows - first);
         for panel in 0..product.columns.div_ceil(width) {
@@ -382,7 +436,17 @@ unsafe fn multiply_kernel<S: Simd, M: Multiply<S>, const PAIRS: bool>(
                 ($($rows:literal)*) => {
                     match rows {
                         // SAFETY: the caller checked the bounds.
-                        $($rows => unsafe { tile::<S, M, $rows, PAIRS>(s, how, product, sides, output, [first, panel, columns]) },)*
+                        $($rows => unsafe {
+                            let (at, depth) = ([first, panel, columns], sides.depth);
+                            let left = sides.left.add(first * depth);
+                            tile::<S, M, $rows, PAIRS>(s, how, product, sides, output, at, |right, values| {
+                                match columns.div_ceil(S::LANES) {
+                                    1 => accumulate::<S, M, $rows, 1>(s, how, left, right, depth, values),
+                                    2 => accumulate::<S, M, $rows, 2>(s, how, left, right, depth, values),
+                                    _ => accumulate::<S, M, $rows, VECTORS>(s, how, left, right, depth, values),
+                                }
+                            })
+                        },)*
                         _ => unreachable!("a tile has 1 to 8 rows"),
                     }
                 };
@@ -397,6 +461,7 @@ unsafe fn multiply_kernel<S: Simd, M: Multiply<S>, const PAIRS: bool>(
 #[repr(align(64))]
 struct Tile([f32; MAX_ROWS * VECTORS * MAX_LANES]);
 
+/// `accumulate` adds to the values, its second argument, what the left side is times the panel of the right one, its first.
 #[inline(always)]
 unsafe fn tile<S: Simd, M: Multiply<S>, const ROWS: usize, const PAIRS: bool>(
     s: S,
@@ -405,6 +470,7 @@ unsafe fn tile<S: Simd, M: Multiply<S>, const ROWS: usize, const PAIRS: bool>(
     sides: &Sides,
     output: &Output,
     [first, panel, columns]: [usize; 3],
+    accumulate: impl FnOnce(*const f32, *mut f32),
 ) {
     let mut tile = Tile([0.0; MAX_ROWS * VECTORS * MAX_LANES]);
     // SAFETY: the caller checked the bounds; a tile holds the rows' vectors.
@@ -426,13 +492,7 @@ unsafe fn tile<S: Simd, M: Multiply<S>, const ROWS: usize, const PAIRS: bool>(
                 });
             }
         }
-        let left = sides.left.add(first * sides.depth);
-        let right = sides.right.add(panel * sides.panel);
-        match columns.div_ceil(S::LANES) {
-            1 => accumulate::<S, M, ROWS, 1>(s, how, left, right, sides.depth, values),
-            2 => accumulate::<S, M, ROWS, 2>(s, how, left, right, sides.depth, values),
-            _ => accumulate::<S, M, ROWS, VECTORS>(s, how, left, right, sides.depth, values),
-        }
+        accumulate(sides.right.add(panel * sides.panel), values);
         if let Some((add, steps)) = product.add {
             let add = add.as_ptr().add(at(steps));
             each_vector::<S, ROWS>(columns, |i, row, x, lanes| {

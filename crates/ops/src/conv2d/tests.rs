@@ -176,12 +176,14 @@ fn at_bfloat16_each_instruction_set_computes_the_definition_of_rounded_numbers()
             })
         };
         let first = found(Isa::to_test().next().expect("the portable one"));
-        for (number, (found, expected)) in first.iter().zip(&expected).enumerate() {
-            let tolerance = if exact || number == 2 { 2e-5 } else { 3e-2 };
-            assert_close(&format!("result {number} of {shape:?}"), found, expected, tolerance);
-        }
         for isa in Isa::to_test() {
-            assert!(found(isa)[..2] == first[..2], "{isa:?}: other bits, {shape:?}");
+            let found = found(isa);
+            for (number, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                let tolerance = if exact || number == 2 { 2e-5 } else { 3e-2 };
+                assert_close(&format!("result {number} of {shape:?}, {isa:?}"), found, expected, tolerance);
+            }
+            let same_order = !isa.sums_bf16_in_tiles();
+            assert!(!same_order || found[..2] == first[..2], "{isa:?}: other bits, {shape:?}");
         }
     }
 }

@@ -212,3 +212,47 @@ fn sides_whose_rounded_copy_exceeds_the_address_space_are_refused() {
 fn more_columns_than_whole_panels_can_hold_are_refused() {
     multiply_shared_panels(usize::MAX);
 }
+
+/// With AMX or without, in whole tiles, halves of them and what is left.
+#[test]
+fn long_products_of_bfloat16_are_the_sums_of_their_definition() {
+    for isa in Isa::to_test() {
+        let width = panel_columns(isa);
+        for (rows, depth, columns) in
+            [(8, 32, width), (21, 64, 5), (16, 131, 2 * width + 20), (9, 500, width)]
+        {
+            let (left, right) = (numbers(rows * depth, 1), numbers(depth * columns, 2));
+            let start = numbers(rows, 3);
+            let packed = Packed::rows(isa, Precision::Bf16, &left, depth);
+            let steps = Steps { row: columns, panel: width };
+            let mut panels = vec![0.0; columns.next_multiple_of(width) * depth];
+            for (k, x) in (0..depth).flat_map(|k| (0..columns).map(move |x| (k, x))) {
+                panels[(x / width * depth + k) * width + x % width] = right[k * columns + x];
+            }
+            let product = Product {
+                left: packed.part(0),
+                rows,
+                depth,
+                right: Right::F32(&panels),
+                right_panel: depth * width,
+                start: Start::PerRow(&start),
+                add: None,
+                activation: Activation::Identity,
+                columns,
+            };
+            let mut out = vec![f32::NAN; rows * columns];
+            multiply(isa, &product, &mut Output::new(&mut out, steps));
+            for (i, found) in out.iter().enumerate() {
+                let (row, x) = (i / columns, i % columns);
+                let rounded = |x: f32| f64::from(Pair::new(x, 0.0).factors()[0]);
+                let term = |k: usize| rounded(left[row * depth + k]) * rounded(right[k * columns + x]);
+                let expected = f64::from(start[row]) + (0..depth).map(term).sum::<f64>();
+                let distance = (f64::from(*found) - expected).abs();
+                assert!(
+                    distance < 1e-6 * depth as f64,
+                    "{isa:?}, {rows}x{depth}x{columns}: {found} for {expected}"
+                );
+            }
+        }
+    }
+}

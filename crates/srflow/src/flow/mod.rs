@@ -558,6 +558,9 @@ impl Work<'_> {
             let (mut pairs, mut last) = (Vec::new(), None);
             let batch = self.job.parameters.network.batch;
             let (first, others) = frames.split_at(1);
+            if others.is_empty() {
+                return Ok(pairs);
+            }
             for frames in std::iter::once(first).chain(others.chunks(batch)) {
                 pairs.extend(self.next(sequence.as_mut(), &mut last, frames.to_vec())?);
             }

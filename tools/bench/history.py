@@ -18,8 +18,9 @@ def parse(parser):
     parser.add_argument("--record", action="store_true", help="append the results to tools/bench/history")
     parser.add_argument("--busy", action="store_true", help=f"measure although the load is above {MOST_LOAD}")
     args = parser.parse_args()
-    # The benchmarks run themselves again, which is their own load.
-    if hasattr(os, "getloadavg") and getattr(args, "side", None) is None:
+    # The benchmarks run themselves again with these options, which is their own load.
+    is_part = any(getattr(args, option, None) for option in ("side", "weights"))
+    if hasattr(os, "getloadavg") and not is_part:
         load = os.getloadavg()[0]
         print(f"load before the start: {load:.2f}", file=sys.stderr)
         if load > MOST_LOAD and not args.busy:

@@ -94,7 +94,7 @@ pub(crate) const FINE_UP_TO: usize = 1 << 17;
 /// Larger frames, padded, start from what the network finds at half of their size: it was trained on frames of 440x640.
 const COARSE_ABOVE: usize = 1 << 20;
 
-/// A static: the table is a constant, of which a program holds a copy for each use.
+/// A static, which a program contains once; the table is a constant, which it copies to each use.
 static WEIGHTS: [u8; include_bytes!("../weights/srflow.safetensors").len()] =
     *include_bytes!("../weights/srflow.safetensors");
 

@@ -11,6 +11,7 @@ use std::arch::x86_64::{__cpuid_count, __m512};
 use std::marker::PhantomData;
 use std::sync::OnceLock;
 
+use crate::bf16::{self, without_subnormal};
 use crate::{Avx512, Avx512Bf16, Isa, MAX_LANES, Multiply, Pair, Simd};
 
 /// Pairs of factors that are transposed together.
@@ -175,32 +176,26 @@ pub(crate) unsafe fn accumulate(
         load!(0, values, ROW);
         load!(1, values.add(MAX_LANES), ROW);
         load!(2, values.add(2 * MAX_LANES), ROW);
+        macro_rules! add_block {
+            ($first:expr, $left:literal, $right:literal) => {
+                for odd in 0..2 {
+                    let right = right.add(($first + odd) * WIDTH);
+                    load!($left, left.add($first * ROWS + odd * MAX_LANES * ROWS), VECTOR);
+                    load!($right, right, 2 * ROW);
+                    multiply!(0, $left, $right);
+                    load!($right, right.add(MAX_LANES), 2 * ROW);
+                    multiply!(1, $left, $right);
+                    load!($right, right.add(2 * MAX_LANES), 2 * ROW);
+                    multiply!(2, $left, $right);
+                }
+            };
+        }
         let whole = depth / BLOCK * BLOCK;
         for first in (0..whole).step_by(BLOCK) {
-            for odd in 0..2 {
-                let left = left.add(first * ROWS + odd * MAX_LANES * ROWS);
-                let right = right.add((first + odd) * WIDTH);
-                load!(3, left, VECTOR);
-                load!(4, right, 2 * ROW);
-                multiply!(0, 3, 4);
-                load!(4, right.add(MAX_LANES), 2 * ROW);
-                multiply!(1, 3, 4);
-                load!(4, right.add(2 * MAX_LANES), 2 * ROW);
-                multiply!(2, 3, 4);
-            }
+            add_block!(first, 3, 4);
         }
         if whole < arranged(depth) {
-            for odd in 0..2 {
-                let left = left.add(whole * ROWS + odd * MAX_LANES * ROWS);
-                let right = right.add((whole + odd) * WIDTH);
-                load!(5, left, VECTOR);
-                load!(6, right, 2 * ROW);
-                multiply!(0, 5, 6);
-                load!(6, right.add(MAX_LANES), 2 * ROW);
-                multiply!(1, 5, 6);
-                load!(6, right.add(2 * MAX_LANES), 2 * ROW);
-                multiply!(2, 5, 6);
-            }
+            add_block!(whole, 5, 6);
         }
         store!(0, values, ROW);
         store!(1, values.add(MAX_LANES), ROW);
@@ -210,7 +205,6 @@ pub(crate) unsafe fn accumulate(
 
 /// `sum` plus the products of `pairs`: the definition.
 pub(crate) fn add_products(mut sum: f32, pairs: &[(Pair, Pair)]) -> f32 {
-    let flushed = |x: f32| if x.abs() < f32::MIN_POSITIVE { 0.0_f32.copysign(x) } else { x };
     let mut rest = pairs;
     while rest.len() >= LEAST {
         let (block, others) = rest.split_at(if rest.len() >= BLOCK { BLOCK } else { LEAST });
@@ -218,14 +212,14 @@ pub(crate) fn add_products(mut sum: f32, pairs: &[(Pair, Pair)]) -> f32 {
             let mut sums = [0.0_f32; 2];
             for (left, right) in block.iter().skip(odd).step_by(2) {
                 for (sum, (a, b)) in sums.iter_mut().zip(left.factors().into_iter().zip(right.factors())) {
-                    *sum = flushed(a.mul_add(b, *sum));
+                    *sum = without_subnormal(a.mul_add(b, *sum));
                 }
             }
-            sum = flushed(flushed(sum) + flushed(sums[0] + sums[1]));
+            sum = without_subnormal(without_subnormal(sum) + without_subnormal(sums[0] + sums[1]));
         }
         rest = others;
     }
-    rest.iter().fold(sum, |sum, (left, right)| crate::bf16::add_products(sum, *left, *right))
+    rest.iter().fold(sum, |sum, (left, right)| bf16::add_products(sum, *left, *right))
 }
 
 /// Whether the instructions sum as [`add_products`] does, on numbers where other orders differ.

@@ -77,7 +77,7 @@ pub(crate) fn rounded(x: f32) -> u32 {
 }
 
 /// `x`, or a zero of its sign if it is subnormal.
-fn without_subnormal(x: f32) -> f32 {
+pub(crate) fn without_subnormal(x: f32) -> f32 {
     if x.abs() < f32::MIN_POSITIVE { 0.0_f32.copysign(x) } else { x }
 }
 

@@ -9,13 +9,14 @@ fn numbers(len: usize, seed: usize) -> Vec<f32> {
     (0..len).map(|i| ((i * 7919 + seed * 104_729) % 1000) as f32 / 500.0 - 1.0).collect()
 }
 
-/// `[DEPTH, columns]` in panels; missing columns of the last one are zero.
+/// `[depth, columns]` in panels; missing columns of the last one are zero.
 fn panels(isa: Isa, right: &[f32], columns: usize) -> Vec<f32> {
     let width = panel_columns(isa);
-    let mut panels = vec![0.0; columns.next_multiple_of(width) * DEPTH];
+    let depth = right.len() / columns;
+    let mut panels = vec![0.0; columns.next_multiple_of(width) * depth];
     for (row, values) in right.chunks_exact(columns).enumerate() {
         for (x, &value) in values.iter().enumerate() {
-            panels[(x / width * DEPTH + row) * width + x % width] = value;
+            panels[(x / width * depth + row) * width + x % width] = value;
         }
     }
     panels
@@ -225,15 +226,11 @@ fn long_products_of_bfloat16_are_the_sums_of_their_definition() {
             let start = numbers(rows, 3);
             let packed = Packed::rows(isa, Precision::Bf16, &left, depth);
             let steps = Steps { row: columns, panel: width };
-            let mut panels = vec![0.0; columns.next_multiple_of(width) * depth];
-            for (k, x) in (0..depth).flat_map(|k| (0..columns).map(move |x| (k, x))) {
-                panels[(x / width * depth + k) * width + x % width] = right[k * columns + x];
-            }
             let product = Product {
                 left: packed.part(0),
                 rows,
                 depth,
-                right: Right::F32(&panels),
+                right: Right::F32(&panels(isa, &right, columns)),
                 right_panel: depth * width,
                 start: Start::PerRow(&start),
                 add: None,

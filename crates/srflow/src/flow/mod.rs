@@ -463,11 +463,16 @@ impl Work<'_> {
             && rayon::current_num_threads() > 1
     }
 
-    /// The frames, except the first `skip`, in batches: the first has one frame more, as it takes two for a
-    /// pair.
-    fn read(&self, skip: u64, crop: &FrameCrop, give: &mut dyn FnMut(anyhow::Result<Vec<Frame>>) -> bool) {
+    /// Pairs of frames of this size that are given to the estimation at once.
+    fn pairs_together(&self, frame: &Frame) -> usize {
         let batch = self.job.parameters.network.batch;
-        let (mut frames, mut together, mut wanted, mut more) = (Vec::new(), None, 0, true);
+        if self.runs_beside_others(frame) { 2 * batch.max(PAIRS_BESIDE_OTHERS) } else { batch }
+    }
+
+    /// The frames, except the first `skip`, [`pairs_together`](Self::pairs_together).
+    fn read(&self, skip: u64, crop: &FrameCrop, give: &mut dyn FnMut(anyhow::Result<Vec<Frame>>) -> bool) {
+        // The first pair takes a frame more.
+        let (mut frames, mut first, mut more) = (Vec::new(), 1, true);
         self.source.read(skip, 1, |frame| {
             if self.watch.stops() {
                 self.stopped.store(true, Ordering::Relaxed);
@@ -477,26 +482,22 @@ impl Work<'_> {
             }
             match frame.and_then(|frame| cropped(frame, crop, self.job.save_crops.as_deref())) {
                 Ok(frame) => {
-                    together.get_or_insert_with(|| {
-                        let beside = self.runs_beside_others(&frame);
-                        let pairs = if beside { 2 * batch.max(PAIRS_BESIDE_OTHERS) } else { batch };
-                        wanted = pairs + 1;
-                        pairs
-                    });
+                    let wanted = self.pairs_together(&frame) + first;
                     frames.push(frame);
+                    if frames.len() == wanted {
+                        more = give(Ok(std::mem::take(&mut frames)));
+                        first = 0;
+                    }
                 }
                 Err(error) => {
-                    // Those before it are estimated.
-                    if !frames.is_empty() {
-                        give(Ok(std::mem::take(&mut frames)));
+                    let before = std::mem::take(&mut frames);
+                    // The pairs before it are estimated.
+                    if before.len() > first {
+                        give(Ok(before));
                     }
                     give(Err(error));
                     more = false;
                 }
-            }
-            if frames.len() == wanted {
-                more = give(Ok(std::mem::take(&mut frames)));
-                wanted = together.unwrap_or(batch);
             }
             more
         });

@@ -11,7 +11,7 @@ use std::arch::x86_64::{__cpuid_count, __m512};
 use std::marker::PhantomData;
 use std::sync::OnceLock;
 
-use crate::bf16::{self, without_subnormal};
+use crate::bf16::{self, numbers_of_exponents, without_subnormal};
 use crate::{Avx512, Avx512Bf16, Isa, MAX_LANES, Multiply, Pair, Simd};
 
 /// Pairs of factors that are transposed together.
@@ -228,13 +228,7 @@ unsafe fn is_as_described(amx: Amx) -> bool {
     const DEPTH: usize = BLOCK + LEAST;
     const WIDTH: usize = 3 * MAX_LANES;
     let s = amx.pairs().avx512();
-    let mut bits = 0x9E37_79B9_u32;
-    let mut next = |lowest: u32| {
-        bits ^= bits << 13;
-        bits ^= bits >> 17;
-        bits ^= bits << 5;
-        f32::from_bits(bits & 0x807F_FFFF | (lowest + (bits >> 24) % 12) << 23)
-    };
+    let mut next = numbers_of_exponents();
     // Ordinary numbers, then products and sums around the smallest normal one.
     [[120, 120, 115], [61, 61, 0]].into_iter().all(|[of_left, of_right, of_sums]| {
         let mut pairs = |count: usize, lowest: u32| {

@@ -339,6 +339,18 @@ fn native_pair_neighbours(native: Avx512Bf16, numbers: &[f32], pairs: &mut [Pair
     each_with_its_neighbour(native.0, numbers, pairs, |first, second| native.pair_lanes(first, second));
 }
 
+/// Numbers of any sign and mantissa, to test instructions with: of one of twelve exponents, from a lowest one on.
+#[cfg(target_arch = "x86_64")]
+pub(crate) fn numbers_of_exponents() -> impl FnMut(u32) -> f32 {
+    let mut bits = 0x9E37_79B9_u32;
+    move |lowest| {
+        bits ^= bits << 13;
+        bits ^= bits >> 17;
+        bits ^= bits << 5;
+        f32::from_bits(bits & 0x807F_FFFF | (lowest + (bits >> 24) % 12) << 23)
+    }
+}
+
 /// Whether the instructions compute what [`add_products`] and [`Pair::new`] define, on numbers where other orders and other
 /// treatments of subnormal numbers differ.
 #[cfg(target_arch = "x86_64")]
@@ -346,17 +358,11 @@ fn native_pair_neighbours(native: Avx512Bf16, numbers: &[f32], pairs: &mut [Pair
 fn is_as_defined(native: Avx512Bf16) -> bool {
     const TESTS: usize = 64;
     let s = native.0;
-    let mut bits = 0x9E37_79B9_u32;
-    let mut next = |exponents: u32, lowest: u32| {
-        bits ^= bits << 13;
-        bits ^= bits >> 17;
-        bits ^= bits << 5;
-        f32::from_bits(bits & 0x807F_FFFF | (lowest + (bits >> 24) % exponents) << 23)
-    };
+    let mut next = numbers_of_exponents();
     (0..TESTS).all(|test| {
         // Ordinary numbers, then products and sums around the smallest normal one.
         let lowest = if test % 2 == 0 { [120, 120, 115] } else { [61, 61, 0] };
-        let mut numbers = |kind: usize| [0; 16].map(|_| next(12, lowest[kind]));
+        let mut numbers = |kind: usize| [0; 16].map(|_| next(lowest[kind]));
         let [a, c, b, d, sums] = [numbers(0), numbers(0), numbers(1), numbers(1), numbers(2)];
         let (pairs, others) =
             (native.pair_lanes(s.read(&a), s.read(&c)), native.pair_lanes(s.read(&b), s.read(&d)));

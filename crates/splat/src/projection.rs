@@ -54,6 +54,7 @@ impl Placement {
 /// Projects every Gaussian, in parallel. `splats` and `placements` get one entry per Gaussian; that of a hidden splat is
 /// unspecified. Returns the number of drawn splats without a displacement despite a next frame.
 pub(crate) fn project(
+    isa: Isa,
     gaussians: &Gaussians,
     camera: &Camera,
     next: Option<Next<'_>>,
@@ -66,7 +67,6 @@ pub(crate) fn project(
     placements.resize(gaussians.len(), Placement::HIDDEN);
     let view = View::new(camera, gaussians.antialiased);
     let motion = next.map(|next| (next.gaussians, Motion::new(next.camera, options.convention)));
-    let isa = Isa::best();
     splats
         .par_chunks_mut(CHUNK)
         .zip(placements.par_chunks_mut(CHUNK))

@@ -61,8 +61,9 @@ impl Rasterizer {
             Outputs { flow: wanted.flow && has_next, depth_next: wanted.depth_next && has_next, ..wanted };
         frame.prepare(camera.width, camera.height, outputs);
 
+        let isa = self.isa.unwrap_or_else(Isa::best);
         let without_displacement =
-            project(gaussians, camera, next, options, &mut self.splats, &mut self.placements);
+            project(isa, gaussians, camera, next, options, &mut self.splats, &mut self.placements);
         if options.sorting == Sorting::PerPixel {
             self.peaks.find(gaussians, camera, &self.splats, &self.placements);
         }
@@ -72,7 +73,7 @@ impl Rasterizer {
         self.tiles.resize_with(strips, Bins::default);
 
         let pass = Pass {
-            isa: self.isa.unwrap_or_else(Isa::best),
+            isa,
             scene: Scene::new(&self.splats, &self.peaks, options),
             strips: &self.strips,
             sorters: &self.sorters,

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::state::{MARGIN, State, value_line};
+use super::state::{MARGIN, State, rows_per_task, value_line};
 use srflow_simd::multiversioned;
 
 /// Pixels that are filtered together.
@@ -17,7 +17,7 @@ pub fn filter(filtered: &mut State, state: &State, side: usize) {
     let layout = state.layout;
     let radius = side / 2;
     let lines = filtered.rows.par_chunks_exact_mut(layout.unknowns()).enumerate();
-    lines.with_min_len(layout.rows_per_task()).for_each_init(
+    lines.with_min_len(rows_per_task(layout.width)).for_each_init(
         || vec![vec![0.0; (layout.width + 2 * radius).next_multiple_of(BLOCK) + BLOCK]; side],
         |window, (y, out)| {
             out.copy_from_slice(state.row(y));

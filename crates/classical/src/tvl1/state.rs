@@ -26,12 +26,6 @@ impl Layout {
         Self { width, height, components: if brightness { 3 } else { 2 }, stride }
     }
 
-    /// Fewest rows of a task: fewer are done before another thread has woken up.
-    pub fn rows_per_task(&self) -> usize {
-        const PIXELS: usize = 1 << 13;
-        PIXELS.div_ceil(self.width.max(1))
-    }
-
     /// Numbers in a row's unknowns: for each component its value and the two parts of its dual variable.
     pub fn unknowns(&self) -> usize {
         3 * self.components * self.stride
@@ -41,6 +35,12 @@ impl Layout {
     pub fn data(&self) -> usize {
         4 * self.stride
     }
+}
+
+/// Fewest rows of a task: fewer are done before another thread has woken up.
+pub fn rows_per_task(width: usize) -> usize {
+    const PIXELS: usize = 1 << 13;
+    PIXELS.div_ceil(width.max(1))
 }
 
 /// The lines of one row's unknowns. Each line starts with [`MARGIN`] numbers of padding.
@@ -66,7 +66,7 @@ impl State {
         let mut rows = vec![0.0; layout.unknowns() * layout.height];
         let planes = [Some(&flow.u), Some(&flow.v), brightness];
         let lines = rows.par_chunks_exact_mut(layout.unknowns()).enumerate();
-        lines.with_min_len(layout.rows_per_task()).for_each(|(y, row)| {
+        lines.with_min_len(rows_per_task(layout.width)).for_each(|(y, row)| {
             for (line, plane) in row.chunks_exact_mut(layout.stride).zip(planes.iter().flatten()) {
                 line[MARGIN..MARGIN + layout.width].copy_from_slice(plane.row(y));
             }
@@ -90,7 +90,7 @@ impl State {
         let plane = |component: usize| {
             let mut plane = Plane::new(width, height);
             let lines = plane.pixels_mut().par_chunks_exact_mut(width).enumerate();
-            lines.with_min_len(self.layout.rows_per_task()).for_each(|(y, out)| {
+            lines.with_min_len(rows_per_task(width)).for_each(|(y, out)| {
                 out.copy_from_slice(self.values(y, component));
             });
             plane

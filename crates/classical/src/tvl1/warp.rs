@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use srflow_core::Plane;
 
-use super::state::{Layout, Linearized, MARGIN, State};
+use super::state::{Linearized, MARGIN, State, rows_per_task};
 use srflow_simd::multiversioned;
 
 /// Zeros around the frame: the reach of the interpolation at the outermost positions.
@@ -26,8 +26,8 @@ impl Warper {
         let row_len = (width + 2 * BORDER) * CHANNELS;
         let mut pixels = vec![0.0; row_len * (height + 2 * BORDER)];
         let inside = &mut pixels[BORDER * row_len..(BORDER + height) * row_len];
-        let rows_per_task = Layout::new(width, height, false).rows_per_task();
-        inside.par_chunks_exact_mut(row_len).enumerate().with_min_len(rows_per_task).for_each(|(y, out)| {
+        let lines = inside.par_chunks_exact_mut(row_len).enumerate();
+        lines.with_min_len(rows_per_task(width)).for_each(|(y, out)| {
             let (above, below) = (frame.row(y.saturating_sub(1)), frame.row((y + 1).min(height - 1)));
             let row = frame.row(y);
             let (out, _) = out[BORDER * CHANNELS..].as_chunks_mut::<CHANNELS>();
@@ -43,7 +43,7 @@ impl Warper {
     pub fn linearize(&self, linearized: &mut Linearized, first: &Plane, state: &State) {
         let layout = linearized.layout;
         let lines = linearized.rows.par_chunks_exact_mut(layout.data()).enumerate();
-        lines.with_min_len(layout.rows_per_task()).for_each(|(y, row)| {
+        lines.with_min_len(rows_per_task(layout.width)).for_each(|(y, row)| {
             let (x_line, rest) = row.split_at_mut(layout.stride);
             let (y_line, rest) = rest.split_at_mut(layout.stride);
             let (constant, inverse_square) = rest.split_at_mut(layout.stride);

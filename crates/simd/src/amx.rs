@@ -1,5 +1,5 @@
-//! Products of bfloat16 by AMX (Intel SDM volume 2, `TDPBF16PS`): an instruction multiplies matrices of 8 x 32 and 32 x 16 factors, as many
-//! as 16 vector instructions do.
+//! Products of bfloat16 by AMX (Intel SDM volume 2, `TDPBF16PS`): an instruction multiplies matrices of up to 16 x 32 and 32 x 16 factors,
+//! as many as 32 vector instructions do.
 //!
 //! Its sums have an order of their own. Of each [`BLOCK`] of pairs, and of half a block at the end, first the pairs of even numbers are
 //! summed, then those of odd ones: the first factors' products apart from the second factors', each product added and rounded to `f32`;
@@ -18,8 +18,10 @@ use crate::{Avx512, Avx512Bf16, Isa, MAX_LANES, Multiply, Pair, Simd};
 pub(crate) const BLOCK: usize = 2 * MAX_LANES;
 /// Pairs of factors after which AMX pays.
 pub(crate) const LEAST: usize = BLOCK / 2;
-/// Rows of the left side in a tile.
+/// Rows of a block of the left side, one or two of which are a tile.
 pub(crate) const ROWS: usize = 8;
+/// Rows of a tile of two blocks.
+pub(crate) const MOST_ROWS: usize = 2 * ROWS;
 
 /// Proof that the processor has AMX with bfloat16, that the system lets this process use it, and that it sums as described above.
 #[derive(Debug, Clone, Copy)]
@@ -75,30 +77,39 @@ struct Shapes {
     rows: [u8; 16],
 }
 
-/// 0 to 2: sums of three vectors of columns. 3 and 4: eight rows of the left side, and the right side. 5 and 6: the same of half a block.
-static SHAPES: Shapes = Shapes {
-    palette: 1,
-    start_row: 0,
-    reserved: [0; 14],
-    bytes: [64, 64, 64, 64, 64, 32, 64, 0, 0, 0, 0, 0, 0, 0, 0, 0],
-    rows: [8, 8, 8, 8, 16, 8, 8, 0, 0, 0, 0, 0, 0, 0, 0, 0],
-};
+impl Shapes {
+    /// For so many rows of the left side. 0 to 2: sums of three vectors of columns. 3: the left side. 4 and 5: the right side. 6 and 7: both
+    /// sides of half a block.
+    const fn of_rows(rows: usize) -> Self {
+        let (rows, half) = (rows as u8, (MAX_LANES / 2) as u8);
+        let all = MAX_LANES as u8;
+        Self {
+            palette: 1,
+            start_row: 0,
+            reserved: [0; 14],
+            bytes: [64, 64, 64, 64, 64, 64, 32, 64, 0, 0, 0, 0, 0, 0, 0, 0],
+            rows: [rows, rows, rows, rows, all, all, rows, half, 0, 0, 0, 0, 0, 0, 0, 0],
+        }
+    }
+}
 
-/// The registers of AMX of this thread, set up for [`accumulate`] until this is dropped: there is one at a time. The compiler does not use
-/// them.
-pub(crate) struct Tiles(PhantomData<*mut ()>);
+/// For one block of rows, and for two.
+static SHAPES: [Shapes; 2] = [Shapes::of_rows(ROWS), Shapes::of_rows(MOST_ROWS)];
 
-impl Tiles {
+/// The registers of AMX of this thread, set up for [`accumulate`] with `BLOCKS` blocks of rows until this is dropped: there is one at a
+/// time. The compiler does not use them.
+pub(crate) struct Tiles<const BLOCKS: usize>(PhantomData<*mut ()>);
+
+impl<const BLOCKS: usize> Tiles<BLOCKS> {
     pub(crate) fn new(_: Amx) -> Self {
+        let shapes = &raw const SHAPES[BLOCKS - 1];
         // SAFETY: the token is the proof of AMX; the shapes are valid.
-        unsafe {
-            asm!("ldtilecfg [{}]", in(reg) &raw const SHAPES, options(nostack, preserves_flags, readonly))
-        };
+        unsafe { asm!("ldtilecfg [{}]", in(reg) shapes, options(nostack, preserves_flags, readonly)) };
         Self(PhantomData)
     }
 }
 
-impl Drop for Tiles {
+impl<const BLOCKS: usize> Drop for Tiles<BLOCKS> {
     fn drop(&mut self) {
         // SAFETY: they were set up.
         unsafe { asm!("tilerelease", options(nostack, preserves_flags, nomem)) };
@@ -110,20 +121,34 @@ pub(crate) fn arranged(depth: usize) -> usize {
     depth / LEAST * LEAST
 }
 
-/// Arranges [`ROWS`] rows of a left side, `[depth, ROWS]`, as tiles: of each block the even pairs of each row, then the odd ones, each row 16
-/// pairs long; of half a block 8, and 8 that are not used.
+/// Arranges `BLOCKS` blocks of [`ROWS`] rows of a left side, `[depth, ROWS]` each, as tiles: of each [`BLOCK`] of pairs the even pairs of
+/// each row, then the odd ones, each row 16 pairs long; of half a block 8, and 8 that are not used.
 ///
 /// # Safety
-/// `left` has `depth` times [`ROWS`] elements; `to` has room for [`arranged`] pairs of as many rows, rounded up to a whole block.
+/// `left` has `BLOCKS` times `depth` times [`ROWS`] elements; `to` has room for [`arranged`] pairs of as many rows, rounded up to a whole
+/// block.
 #[inline(always)]
-pub(crate) unsafe fn arrange(s: Avx512, left: *const f32, depth: usize, to: *mut f32) {
+pub(crate) unsafe fn arrange<const BLOCKS: usize>(s: Avx512, left: *const f32, depth: usize, to: *mut f32) {
     for first in (0..arranged(depth)).step_by(BLOCK) {
         let vectors = if first + BLOCK <= depth { MAX_LANES } else { MAX_LANES / 2 };
-        // A vector has two factors' rows: those of an even and of an odd number. The ones past the end are read in place of others.
-        // SAFETY: guaranteed by the caller.
+        let to = |odd: usize| to.wrapping_add((first + odd * MAX_LANES) * BLOCKS * ROWS);
+        // SAFETY: guaranteed by the caller. The pairs past the end are read in place of others.
         unsafe {
-            let sources = std::array::from_fn(|i| left.add((first + 2 * (i % vectors)) * ROWS));
-            s.transpose(&sources, to.add(first * ROWS), MAX_LANES);
+            if BLOCKS == 1 {
+                // A vector has two pairs of each row: an even and an odd one.
+                let sources = std::array::from_fn(|i| left.add((first + 2 * (i % vectors)) * ROWS));
+                s.transpose(&sources, to(0), MAX_LANES);
+                continue;
+            }
+            for odd in 0..2 {
+                let mut both = [[0.0; MOST_ROWS]; MAX_LANES];
+                for (i, both) in both.iter_mut().enumerate() {
+                    let pair = left.add((first + 2 * (i % vectors) + odd) * ROWS);
+                    both.as_mut_ptr().copy_from_nonoverlapping(pair, ROWS);
+                    both.as_mut_ptr().add(ROWS).copy_from_nonoverlapping(pair.add(depth * ROWS), ROWS);
+                }
+                s.transpose(&both.each_ref().map(|both| both.as_ptr()), to(odd), MAX_LANES);
+            }
         }
     }
 }
@@ -155,14 +180,14 @@ macro_rules! multiply {
     };
 }
 
-/// `values += left * right` for [`ROWS`] rows of three vectors and the first [`arranged`] pairs of `depth`. `left` was [`arrange`]d; `right` has
-/// rows of `3 * 16` pairs.
+/// `values += left * right` for `BLOCKS` times [`ROWS`] rows of three vectors and the first [`arranged`] pairs of `depth`. `left` was
+/// [`arrange`]d; `right` has rows of `3 * 16` pairs.
 ///
 /// # Safety
 /// `left` and `right` have so many rows, `values` all sums; the tiles are set up on this thread.
 #[inline(always)]
-pub(crate) unsafe fn accumulate(
-    _: &Tiles,
+pub(crate) unsafe fn accumulate<const BLOCKS: usize>(
+    _: &Tiles<BLOCKS>,
     left: *const f32,
     right: *const f32,
     depth: usize,
@@ -171,31 +196,35 @@ pub(crate) unsafe fn accumulate(
     const WIDTH: usize = 3 * MAX_LANES;
     const VECTOR: usize = size_of::<[f32; MAX_LANES]>();
     const ROW: usize = size_of::<[f32; WIDTH]>();
+    let rows = BLOCKS * ROWS;
     // SAFETY: guaranteed by the caller.
     unsafe {
         load!(0, values, ROW);
         load!(1, values.add(MAX_LANES), ROW);
         load!(2, values.add(2 * MAX_LANES), ROW);
-        macro_rules! add_block {
-            ($first:expr, $left:literal, $right:literal) => {
-                for odd in 0..2 {
-                    let right = right.add(($first + odd) * WIDTH);
-                    load!($left, left.add($first * ROWS + odd * MAX_LANES * ROWS), VECTOR);
-                    load!($right, right, 2 * ROW);
-                    multiply!(0, $left, $right);
-                    load!($right, right.add(MAX_LANES), 2 * ROW);
-                    multiply!(1, $left, $right);
-                    load!($right, right.add(2 * MAX_LANES), 2 * ROW);
-                    multiply!(2, $left, $right);
-                }
+        // The right side in two registers in turn: one is loaded while the other is multiplied.
+        macro_rules! add_half {
+            ($left:literal, $from:expr, [$one:literal $two:literal $three:literal], $right:expr) => {
+                let right: *const f32 = $right;
+                load!($left, $from, VECTOR);
+                load!($one, right, 2 * ROW);
+                multiply!(0, $left, $one);
+                load!($two, right.add(MAX_LANES), 2 * ROW);
+                multiply!(1, $left, $two);
+                load!($three, right.add(2 * MAX_LANES), 2 * ROW);
+                multiply!(2, $left, $three);
             };
         }
         let whole = depth / BLOCK * BLOCK;
         for first in (0..whole).step_by(BLOCK) {
-            add_block!(first, 3, 4);
+            let (left, right) = (left.add(first * rows), right.add(first * WIDTH));
+            add_half!(3, left, [4 5 4], right);
+            add_half!(3, left.add(MAX_LANES * rows), [5 4 5], right.add(WIDTH));
         }
         if whole < arranged(depth) {
-            add_block!(whole, 5, 6);
+            let (left, right) = (left.add(whole * rows), right.add(whole * WIDTH));
+            add_half!(6, left, [7 7 7], right);
+            add_half!(6, left.add(MAX_LANES * rows), [7 7 7], right.add(WIDTH));
         }
         store!(0, values, ROW);
         store!(1, values.add(MAX_LANES), ROW);
@@ -234,25 +263,28 @@ unsafe fn is_as_described(amx: Amx) -> bool {
         let mut pairs = |count: usize, lowest: u32| {
             (0..count).map(|_| Pair::new(next(lowest), next(lowest))).collect::<Vec<Pair>>()
         };
-        let (left, right) = (pairs(DEPTH * ROWS, of_left), pairs(DEPTH * WIDTH, of_right));
-        let start: Vec<f32> = (0..ROWS * WIDTH).map(|_| next(of_sums)).collect();
-        let (mut found, mut tiles) = (start.clone(), vec![Pair::default(); 2 * BLOCK * ROWS]);
+        let (left, right) = (pairs(DEPTH * MOST_ROWS, of_left), pairs(DEPTH * WIDTH, of_right));
+        let start: Vec<f32> = (0..MOST_ROWS * WIDTH).map(|_| next(of_sums)).collect();
+        let mut found = [start.clone(), start.clone()];
+        let mut tiles = vec![0.0_f32; 2 * BLOCK * MOST_ROWS];
+        let (left_start, right_start) = (left.as_ptr().cast::<f32>(), right.as_ptr().cast());
         // SAFETY: the token is the proof of the instructions; all slices have the lengths that are asked for.
         unsafe {
-            arrange(s, left.as_ptr().cast(), DEPTH, tiles.as_mut_ptr().cast());
-            accumulate(
-                &Tiles::new(amx),
-                tiles.as_ptr().cast(),
-                right.as_ptr().cast(),
-                DEPTH,
-                found.as_mut_ptr(),
-            );
+            arrange::<2>(s, left_start, DEPTH, tiles.as_mut_ptr());
+            accumulate(&Tiles::<2>::new(amx), tiles.as_ptr(), right_start, DEPTH, found[0].as_mut_ptr());
+            for block in 0..2 {
+                arrange::<1>(s, left_start.add(block * DEPTH * ROWS), DEPTH, tiles.as_mut_ptr());
+                let found = found[1][block * ROWS * WIDTH..].as_mut_ptr();
+                accumulate(&Tiles::<1>::new(amx), tiles.as_ptr(), right_start, DEPTH, found);
+            }
         }
-        (0..ROWS * WIDTH).all(|i| {
+        (0..MOST_ROWS * WIDTH).all(|i| {
             let (row, column) = (i / WIDTH, i % WIDTH);
+            let left = &left[row / ROWS * DEPTH * ROWS + row % ROWS..];
             let products: Vec<(Pair, Pair)> =
-                (0..DEPTH).map(|k| (left[k * ROWS + row], right[k * WIDTH + column])).collect();
-            found[i].to_bits() == add_products(start[i], &products).to_bits()
+                (0..DEPTH).map(|k| (left[k * ROWS], right[k * WIDTH + column])).collect();
+            let expected = add_products(start[i], &products).to_bits();
+            found.iter().all(|found| found[i].to_bits() == expected)
         })
     })
 }

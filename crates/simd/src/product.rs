@@ -4,6 +4,8 @@
 //! read in order, and the data of a register tile lies in the first cache levels.
 
 use std::marker::PhantomData;
+#[cfg(target_arch = "x86_64")]
+use std::ops::Range;
 
 #[cfg(target_arch = "x86_64")]
 use crate::amx::{self, Amx};
@@ -14,8 +16,6 @@ use crate::{
 
 /// Vectors in one row of a panel.
 const VECTORS: usize = 3;
-/// Upper bound of [`Simd::TILE_ROWS`].
-const MAX_ROWS: usize = 8;
 
 pub fn panel_columns(isa: Isa) -> usize {
     VECTORS * isa.lanes()
@@ -389,31 +389,59 @@ fn amx_for(isa: Isa, product: &Product, sides: &Sides) -> Option<Amx> {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512bf16,avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,popcnt")]
 unsafe fn multiply_in_tiles<const PAIRS: bool>(amx: Amx, product: &Product, sides: &Sides, output: &Output) {
-    const ROWS: usize = amx::ROWS;
+    let mut left = Scratch::<f32>::of(sides.depth.next_multiple_of(amx::BLOCK) * amx::MOST_ROWS);
+    let two = product.rows / amx::MOST_ROWS * amx::MOST_ROWS;
+    let whole = product.rows / amx::ROWS * amx::ROWS;
+    // SAFETY: the caller checked the bounds; blocks of the left side have as many rows as those of tiles.
+    unsafe {
+        multiply_rows_in_tiles::<2, { amx::MOST_ROWS }, PAIRS>(amx, product, sides, output, 0..two, &mut left);
+        multiply_rows_in_tiles::<1, { amx::ROWS }, PAIRS>(amx, product, sides, output, two..whole, &mut left);
+        let s = amx.pairs().avx512();
+        multiply_kernel::<_, _, PAIRS>(s, amx, product, sides, output, whole)
+    }
+}
+
+/// Some rows of [`multiply_in_tiles`], in tiles of `ROWS`, that is `BLOCKS` blocks of the left side.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+unsafe fn multiply_rows_in_tiles<const BLOCKS: usize, const ROWS: usize, const PAIRS: bool>(
+    amx: Amx,
+    product: &Product,
+    sides: &Sides,
+    output: &Output,
+    rows: Range<usize>,
+    left: &mut Scratch,
+) {
+    if rows.is_empty() {
+        return;
+    }
     let s = amx.pairs().avx512();
     let width = VECTORS * crate::Avx512::LANES;
-    let tiles = amx::Tiles::new(amx);
-    let mut left = Scratch::<f32>::of(sides.depth.next_multiple_of(amx::BLOCK) * ROWS);
-    let (whole, arranged) = (product.rows / ROWS * ROWS, amx::arranged(sides.depth));
-    for first in (0..whole).step_by(ROWS) {
-        // SAFETY: the caller checked the bounds; blocks of the left side have as many rows as tiles.
+    let tiles = amx::Tiles::<BLOCKS>::new(amx);
+    let arranged = amx::arranged(sides.depth);
+    for first in rows.step_by(ROWS) {
+        // SAFETY: guaranteed by the caller.
         unsafe {
             let block = sides.left.add(first * sides.depth);
-            amx::arrange(s, block, sides.depth, left.as_mut_ptr());
+            amx::arrange::<BLOCKS>(s, block, sides.depth, left.as_mut_ptr());
             for panel in 0..product.columns.div_ceil(width) {
                 let columns = width.min(product.columns - panel * width);
                 let at = [first, panel, columns];
                 tile::<_, _, ROWS, PAIRS>(s, amx, product, sides, output, at, |right, values| {
                     amx::accumulate(&tiles, left.as_ptr(), right, sides.depth, values);
-                    let (block, right) = (block.add(arranged * ROWS), right.add(arranged * width));
-                    let rest = sides.depth - arranged;
-                    accumulate::<_, _, ROWS, VECTORS>(s, amx, block, right, rest, values);
+                    let (right, rest) = (right.add(arranged * width), sides.depth - arranged);
+                    if rest == 0 {
+                        return;
+                    }
+                    for number in 0..BLOCKS {
+                        let block = block.add((number * sides.depth + arranged) * amx::ROWS);
+                        let values = values.add(number * amx::ROWS * width);
+                        accumulate::<_, _, { amx::ROWS }, VECTORS>(s, amx, block, right, rest, values);
+                    }
                 });
             }
         }
     }
-    // SAFETY: the caller checked the bounds.
-    unsafe { multiply_kernel::<_, _, PAIRS>(s, amx, product, sides, output, whole) }
 }
 
 /// From row `first` on, which begins a block. If `PAIRS`, the rows of the output are rounded two by two.
@@ -459,7 +487,7 @@ unsafe fn multiply_kernel<S: Simd, M: Multiply<S>, const PAIRS: bool>(
 
 /// The values of a register tile between the sums and the output.
 #[repr(align(64))]
-struct Tile([f32; MAX_ROWS * VECTORS * MAX_LANES]);
+struct Tile<const ROWS: usize>([[f32; VECTORS * MAX_LANES]; ROWS]);
 
 /// `accumulate` adds to the values, its second argument, what the left side is times the panel of the right one, its first.
 #[inline(always)]
@@ -472,11 +500,11 @@ unsafe fn tile<S: Simd, M: Multiply<S>, const ROWS: usize, const PAIRS: bool>(
     [first, panel, columns]: [usize; 3],
     accumulate: impl FnOnce(*const f32, *mut f32),
 ) {
-    let mut tile = Tile([0.0; MAX_ROWS * VECTORS * MAX_LANES]);
+    let mut tile = Tile([[0.0; VECTORS * MAX_LANES]; ROWS]);
     // SAFETY: the caller checked the bounds; a tile holds the rows' vectors.
     unsafe {
         let at = |steps: Steps| first * steps.row + panel * steps.panel;
-        let values = tile.0.as_mut_ptr();
+        let values = tile.0.as_mut_ptr().cast::<f32>();
         match product.start {
             Start::Zero => {}
             Start::PerRow(start) => {
@@ -521,8 +549,9 @@ unsafe fn tile<S: Simd, M: Multiply<S>, const ROWS: usize, const PAIRS: bool>(
             let out = output.start.add(first / 2 * row + panel * step);
             for i in 0..ROWS.div_ceil(2) * VECTORS {
                 let (y, v) = (i / VECTORS, i % VECTORS);
-                let value = |row: usize| s.load(values.add((row * VECTORS + v) * S::LANES));
-                // Beyond the last row the tile is zero.
+                let value = |row: usize| {
+                    if row < ROWS { s.load(values.add((row * VECTORS + v) * S::LANES)) } else { s.splat(0.0) }
+                };
                 s.store(out.add(y * row + v * S::LANES), how.pair(s, value(2 * y), value(2 * y + 1)));
             }
             return;

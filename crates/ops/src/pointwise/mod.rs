@@ -3,9 +3,11 @@
 //!
 //! Intermediate results, often wider than input and output, never leave the cache. [`mod@reference`] is the definition.
 
+use std::ops::Range;
+
 use srflow_simd::{
-    Activation, Isa, Left, Output, Pair, Precision, Product, Right, Scratch, Start, Steps, fill_columns,
-    multiply, multiply_diagonal, multiply_to_pairs, panel_columns,
+    Activation, Isa, Left, Output, Pair, Precision, Product, Right, Scratch, Simd, Start, Steps, dispatch,
+    fill_columns, multiply, multiply_diagonal, multiply_to_pairs, panel_columns,
 };
 
 pub mod reference;
@@ -13,6 +15,10 @@ pub mod tensor;
 
 /// Panels per task.
 const PANELS: usize = 2;
+/// Planes from the one that is copied to the one whose memory is asked for.
+const AHEAD: usize = 8;
+/// Elements of a line of the cache.
+const LINE: usize = 16;
 
 /// Weights of a layer.
 #[derive(Debug, Clone, Copy)]
@@ -67,7 +73,7 @@ pub(crate) fn pointwise(
     fill_columns(isa, [batch, outputs, pixels], piece, scratch, |states, n, own, out| {
         let image = &input[n * inputs * pixels..][..inputs * pixels];
         if let State::Numbers(first) = &mut states[0] {
-            gather(image, pixels, own.clone(), width, first);
+            gather(isa, image, pixels, &own, width, first);
         }
         for (number, layer) in layers.iter().enumerate() {
             let (before, after) = states.split_at_mut(number + 1);
@@ -177,14 +183,35 @@ fn check(inputs: usize, layers: &[Layer]) -> Vec<usize> {
     channels
 }
 
-/// Copies columns of planes of `pixels` elements to panels, zero-padding the last one.
-fn gather(planes: &[f32], pixels: usize, columns: std::ops::Range<usize>, width: usize, panels: &mut [f32]) {
-    let channels = planes.len() / pixels;
-    for (first, panel) in columns.clone().step_by(width).zip(panels.chunks_exact_mut(channels * width)) {
-        let count = width.min(columns.end - first);
-        for (to, from) in panel.chunks_exact_mut(width).zip(planes.chunks_exact(pixels)) {
-            to[..count].copy_from_slice(&from[first..first + count]);
-            to[count..].fill(0.0);
+dispatch! {
+    /// Copies columns of planes of `pixels` elements to panels of `width` columns, zero-padding the last one.
+    ///
+    /// All panels of a plane before the next plane: what is read is then as long as possible, and the memory of the next
+    /// planes is asked for meanwhile.
+    fn gather = gather_kernel(planes: &[f32], pixels: usize, columns: &Range<usize>, width: usize, panels: &mut [f32])
+}
+
+#[inline(always)]
+fn gather_kernel<S: Simd>(
+    s: S,
+    planes: &[f32],
+    pixels: usize,
+    columns: &Range<usize>,
+    width: usize,
+    panels: &mut [f32],
+) {
+    let panel = planes.len() / pixels * width;
+    for (channel, plane) in planes.chunks_exact(pixels).enumerate() {
+        if let Some(later) = planes.get((channel + AHEAD) * pixels..).and_then(|planes| planes.get(columns.clone())) {
+            later.iter().step_by(LINE).for_each(|line| s.prefetch(line));
+        }
+        let mut from = &plane[columns.clone()];
+        for to in panels.chunks_exact_mut(panel) {
+            let to = &mut to[channel * width..][..width];
+            for to in to.chunks_exact_mut(S::LANES) {
+                s.write(s.read_first(from), to);
+                from = from.get(S::LANES..).unwrap_or_default();
+            }
         }
     }
 }

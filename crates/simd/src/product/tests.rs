@@ -187,7 +187,7 @@ fn slices_that_are_too_short_are_refused() {
 /// Panels that share their memory claim any number of columns.
 fn multiply_shared_panels(columns: usize) {
     let isa = Isa::best();
-    let (left, right) = (vec![Pair::default(); 4 * MAX_ROWS], vec![0.0; 4 * panel_columns(isa)]);
+    let (left, right) = (vec![Pair::default(); 4 * isa.tile_rows()], vec![0.0; 4 * panel_columns(isa)]);
     let product = Product {
         left: Left::Bf16(&left),
         rows: 1,

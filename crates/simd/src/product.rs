@@ -394,7 +394,14 @@ unsafe fn multiply_in_tiles<const PAIRS: bool>(amx: Amx, product: &Product, side
     let whole = product.rows / amx::ROWS * amx::ROWS;
     // SAFETY: the caller checked the bounds; blocks of the left side have as many rows as those of tiles.
     unsafe {
-        multiply_rows_in_tiles::<2, { amx::MOST_ROWS }, PAIRS>(amx, product, sides, output, 0..two, &mut left);
+        multiply_rows_in_tiles::<2, { amx::MOST_ROWS }, PAIRS>(
+            amx,
+            product,
+            sides,
+            output,
+            0..two,
+            &mut left,
+        );
         multiply_rows_in_tiles::<1, { amx::ROWS }, PAIRS>(amx, product, sides, output, two..whole, &mut left);
         let s = amx.pairs().avx512();
         multiply_kernel::<_, _, PAIRS>(s, amx, product, sides, output, whole)

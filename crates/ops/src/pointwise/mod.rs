@@ -202,7 +202,9 @@ fn gather_kernel<S: Simd>(
 ) {
     let panel = planes.len() / pixels * width;
     for (channel, plane) in planes.chunks_exact(pixels).enumerate() {
-        if let Some(later) = planes.get((channel + AHEAD) * pixels..).and_then(|planes| planes.get(columns.clone())) {
+        if let Some(later) =
+            planes.get((channel + AHEAD) * pixels..).and_then(|planes| planes.get(columns.clone()))
+        {
             later.iter().step_by(LINE).for_each(|line| s.prefetch(line));
         }
         let mut from = &plane[columns.clone()];

@@ -163,7 +163,7 @@ pub fn activated(activation: Activation, sums: &[f32], residual: Option<&[f32]>)
 }
 
 /// Multiplies gradients of an activation's outputs by its derivative; `kept` holds the values that
-/// [`Activation::keeps`] names. Products below 1e-24 become zeros. Panics when the lengths differ.
+/// [`Activation::keeps`] names. Products of a size below 1e-24 become zeros. Panics when the lengths differ.
 pub fn activation_backward(activation: Activation, kept: &[f32], grad: &mut [f32]) {
     let isa = Isa::best();
     assert_eq!(kept.len(), grad.len(), "gradients of {activation:?}");

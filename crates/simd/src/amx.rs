@@ -18,7 +18,7 @@ use crate::{Avx512, Avx512Bf16, Isa, MAX_LANES, Multiply, Pair, Simd};
 pub(crate) const BLOCK: usize = 2 * MAX_LANES;
 /// Pairs of factors after which AMX pays.
 pub(crate) const LEAST: usize = BLOCK / 2;
-/// Rows of a block of the left side, one or two of which are a tile.
+/// Rows of a block of the left side. A tile holds one block or two.
 pub(crate) const ROWS: usize = 8;
 /// Rows of a tile of two blocks.
 pub(crate) const MOST_ROWS: usize = 2 * ROWS;
@@ -93,23 +93,24 @@ impl Shapes {
     }
 }
 
-/// For one block of rows, and for two.
-static SHAPES: [Shapes; 2] = [Shapes::of_rows(ROWS), Shapes::of_rows(MOST_ROWS)];
+static OF_ONE_BLOCK: Shapes = Shapes::of_rows(ROWS);
+static OF_TWO_BLOCKS: Shapes = Shapes::of_rows(MOST_ROWS);
 
-/// The registers of AMX of this thread, set up for [`accumulate`] with `BLOCKS` blocks of rows until this is dropped: there is one at a
+/// The registers of AMX of this thread, set up for [`accumulate`] with `R` rows, [`ROWS`] or [`MOST_ROWS`], until this is dropped: there is one at a
 /// time. The compiler does not use them.
-pub(crate) struct Tiles<const BLOCKS: usize>(PhantomData<*mut ()>);
+pub(crate) struct Tiles<const R: usize>(PhantomData<*mut ()>);
 
-impl<const BLOCKS: usize> Tiles<BLOCKS> {
+impl<const R: usize> Tiles<R> {
     pub(crate) fn new(_: Amx) -> Self {
-        let shapes = &raw const SHAPES[BLOCKS - 1];
+        const { assert!(R == ROWS || R == MOST_ROWS) };
+        let shapes = if R == ROWS { &raw const OF_ONE_BLOCK } else { &raw const OF_TWO_BLOCKS };
         // SAFETY: the token is the proof of AMX; the shapes are valid.
         unsafe { asm!("ldtilecfg [{}]", in(reg) shapes, options(nostack, preserves_flags, readonly)) };
         Self(PhantomData)
     }
 }
 
-impl<const BLOCKS: usize> Drop for Tiles<BLOCKS> {
+impl<const R: usize> Drop for Tiles<R> {
     fn drop(&mut self) {
         // SAFETY: they were set up.
         unsafe { asm!("tilerelease", options(nostack, preserves_flags, nomem)) };
@@ -121,20 +122,20 @@ pub(crate) fn arranged(depth: usize) -> usize {
     depth / LEAST * LEAST
 }
 
-/// Arranges `BLOCKS` blocks of [`ROWS`] rows of a left side, `[depth, ROWS]` each, as tiles: of each [`BLOCK`] of pairs the even pairs of
+/// Arranges `R` rows of a left side, one or two blocks of `[depth, ROWS]`, as tiles: of each [`BLOCK`] of pairs the even pairs of
 /// each row, then the odd ones, each row 16 pairs long; of half a block 8, and 8 that are not used.
 ///
 /// # Safety
-/// `left` has `BLOCKS` times `depth` times [`ROWS`] elements; `to` has room for [`arranged`] pairs of as many rows, rounded up to a whole
+/// `left` has `depth` times `R` elements; `to` has room for [`arranged`] pairs of as many rows, rounded up to a whole
 /// block.
 #[inline(always)]
-pub(crate) unsafe fn arrange<const BLOCKS: usize>(s: Avx512, left: *const f32, depth: usize, to: *mut f32) {
+pub(crate) unsafe fn arrange<const R: usize>(s: Avx512, left: *const f32, depth: usize, to: *mut f32) {
     for first in (0..arranged(depth)).step_by(BLOCK) {
         let vectors = if first + BLOCK <= depth { MAX_LANES } else { MAX_LANES / 2 };
-        let to = |odd: usize| to.wrapping_add((first + odd * MAX_LANES) * BLOCKS * ROWS);
+        let to = |odd: usize| to.wrapping_add((first + odd * MAX_LANES) * R);
         // SAFETY: guaranteed by the caller. The pairs past the end are read in place of others.
         unsafe {
-            if BLOCKS == 1 {
+            if R == ROWS {
                 // A vector has two pairs of each row: an even and an odd one.
                 let sources = std::array::from_fn(|i| left.add((first + 2 * (i % vectors)) * ROWS));
                 s.transpose(&sources, to(0), MAX_LANES);
@@ -180,14 +181,14 @@ macro_rules! multiply {
     };
 }
 
-/// `values += left * right` for `BLOCKS` times [`ROWS`] rows of three vectors and the first [`arranged`] pairs of `depth`. `left` was
+/// `values += left * right` for `R` rows of three vectors and the first [`arranged`] pairs of `depth`. `left` was
 /// [`arrange`]d; `right` has rows of `3 * 16` pairs.
 ///
 /// # Safety
 /// `left` and `right` have so many rows, `values` all sums; the tiles are set up on this thread.
 #[inline(always)]
-pub(crate) unsafe fn accumulate<const BLOCKS: usize>(
-    _: &Tiles<BLOCKS>,
+pub(crate) unsafe fn accumulate<const R: usize>(
+    _: &Tiles<R>,
     left: *const f32,
     right: *const f32,
     depth: usize,
@@ -196,7 +197,6 @@ pub(crate) unsafe fn accumulate<const BLOCKS: usize>(
     const WIDTH: usize = 3 * MAX_LANES;
     const VECTOR: usize = size_of::<[f32; MAX_LANES]>();
     const ROW: usize = size_of::<[f32; WIDTH]>();
-    let rows = BLOCKS * ROWS;
     // SAFETY: guaranteed by the caller.
     unsafe {
         load!(0, values, ROW);
@@ -217,14 +217,14 @@ pub(crate) unsafe fn accumulate<const BLOCKS: usize>(
         }
         let whole = depth / BLOCK * BLOCK;
         for first in (0..whole).step_by(BLOCK) {
-            let (left, right) = (left.add(first * rows), right.add(first * WIDTH));
+            let (left, right) = (left.add(first * R), right.add(first * WIDTH));
             add_half!(3, left, [4 5 4], right);
-            add_half!(3, left.add(MAX_LANES * rows), [5 4 5], right.add(WIDTH));
+            add_half!(3, left.add(MAX_LANES * R), [5 4 5], right.add(WIDTH));
         }
         if whole < arranged(depth) {
-            let (left, right) = (left.add(whole * rows), right.add(whole * WIDTH));
+            let (left, right) = (left.add(whole * R), right.add(whole * WIDTH));
             add_half!(6, left, [7 7 7], right);
-            add_half!(6, left.add(MAX_LANES * rows), [7 7 7], right.add(WIDTH));
+            add_half!(6, left.add(MAX_LANES * R), [7 7 7], right.add(WIDTH));
         }
         store!(0, values, ROW);
         store!(1, values.add(MAX_LANES), ROW);
@@ -270,12 +270,18 @@ unsafe fn is_as_described(amx: Amx) -> bool {
         let (left_start, right_start) = (left.as_ptr().cast::<f32>(), right.as_ptr().cast());
         // SAFETY: the token is the proof of the instructions; all slices have the lengths that are asked for.
         unsafe {
-            arrange::<2>(s, left_start, DEPTH, tiles.as_mut_ptr());
-            accumulate(&Tiles::<2>::new(amx), tiles.as_ptr(), right_start, DEPTH, found[0].as_mut_ptr());
+            arrange::<MOST_ROWS>(s, left_start, DEPTH, tiles.as_mut_ptr());
+            accumulate(
+                &Tiles::<MOST_ROWS>::new(amx),
+                tiles.as_ptr(),
+                right_start,
+                DEPTH,
+                found[0].as_mut_ptr(),
+            );
             for block in 0..2 {
-                arrange::<1>(s, left_start.add(block * DEPTH * ROWS), DEPTH, tiles.as_mut_ptr());
+                arrange::<ROWS>(s, left_start.add(block * DEPTH * ROWS), DEPTH, tiles.as_mut_ptr());
                 let found = found[1][block * ROWS * WIDTH..].as_mut_ptr();
-                accumulate(&Tiles::<1>::new(amx), tiles.as_ptr(), right_start, DEPTH, found);
+                accumulate(&Tiles::<ROWS>::new(amx), tiles.as_ptr(), right_start, DEPTH, found);
             }
         }
         (0..MOST_ROWS * WIDTH).all(|i| {

@@ -394,24 +394,17 @@ unsafe fn multiply_in_tiles<const PAIRS: bool>(amx: Amx, product: &Product, side
     let whole = product.rows / amx::ROWS * amx::ROWS;
     // SAFETY: the caller checked the bounds; blocks of the left side have as many rows as those of tiles.
     unsafe {
-        multiply_rows_in_tiles::<2, { amx::MOST_ROWS }, PAIRS>(
-            amx,
-            product,
-            sides,
-            output,
-            0..two,
-            &mut left,
-        );
-        multiply_rows_in_tiles::<1, { amx::ROWS }, PAIRS>(amx, product, sides, output, two..whole, &mut left);
+        multiply_rows_in_tiles::<{ amx::MOST_ROWS }, PAIRS>(amx, product, sides, output, 0..two, &mut left);
+        multiply_rows_in_tiles::<{ amx::ROWS }, PAIRS>(amx, product, sides, output, two..whole, &mut left);
         let s = amx.pairs().avx512();
         multiply_kernel::<_, _, PAIRS>(s, amx, product, sides, output, whole)
     }
 }
 
-/// Some rows of [`multiply_in_tiles`], in tiles of `ROWS`, that is `BLOCKS` blocks of the left side.
+/// Some rows of [`multiply_in_tiles`], in tiles of `ROWS`, whole blocks of the left side.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-unsafe fn multiply_rows_in_tiles<const BLOCKS: usize, const ROWS: usize, const PAIRS: bool>(
+unsafe fn multiply_rows_in_tiles<const ROWS: usize, const PAIRS: bool>(
     amx: Amx,
     product: &Product,
     sides: &Sides,
@@ -424,13 +417,13 @@ unsafe fn multiply_rows_in_tiles<const BLOCKS: usize, const ROWS: usize, const P
     }
     let s = amx.pairs().avx512();
     let width = VECTORS * crate::Avx512::LANES;
-    let tiles = amx::Tiles::<BLOCKS>::new(amx);
+    let tiles = amx::Tiles::<ROWS>::new(amx);
     let arranged = amx::arranged(sides.depth);
     for first in rows.step_by(ROWS) {
         // SAFETY: guaranteed by the caller.
         unsafe {
             let block = sides.left.add(first * sides.depth);
-            amx::arrange::<BLOCKS>(s, block, sides.depth, left.as_mut_ptr());
+            amx::arrange::<ROWS>(s, block, sides.depth, left.as_mut_ptr());
             for panel in 0..product.columns.div_ceil(width) {
                 let columns = width.min(product.columns - panel * width);
                 let at = [first, panel, columns];
@@ -440,7 +433,7 @@ unsafe fn multiply_rows_in_tiles<const BLOCKS: usize, const ROWS: usize, const P
                     if rest == 0 {
                         return;
                     }
-                    for number in 0..BLOCKS {
+                    for number in 0..ROWS / amx::ROWS {
                         let block = block.add((number * sides.depth + arranged) * amx::ROWS);
                         let values = values.add(number * amx::ROWS * width);
                         accumulate::<_, _, { amx::ROWS }, VECTORS>(s, amx, block, right, rest, values);

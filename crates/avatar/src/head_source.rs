@@ -45,6 +45,14 @@ impl HeadSource {
         }
     }
 
+    /// This kind of head at another path.
+    pub fn with_path(&self, path: impl Into<PathBuf>) -> Self {
+        match self {
+            Self::Model(model) => Self::Model(model.with_path(path.into())),
+            Self::Avatar(_) => Self::Avatar(path.into()),
+        }
+    }
+
     /// Whether it is made without files.
     pub fn is_builtin(&self) -> bool {
         matches!(self, Self::Model(model) if model.is_builtin())

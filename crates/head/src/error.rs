@@ -51,11 +51,16 @@ pub enum HeadError {
     #[error(transparent)]
     Model(#[from] HeadModelError),
     /// The model has no landmarks, which place brows, lashes and the colours of the face.
-    #[error("the head model {model} has {found} landmarks; dressing it needs the 68 of dlib")]
+    #[error(
+        "the head model {model} has {found} landmarks; dressing it with Gaussians needs the 68 of dlib{}",
+        if file.is_empty() { String::new() } else { format!(", in `{file}` beside it (docs/reference/avatar-files.md)") }
+    )]
     Landmarks {
         /// Name of the head model.
         model: String,
         /// Number of its landmarks.
         found: usize,
+        /// The file that lists those of its kind; empty where they are part of the model.
+        file: &'static str,
     },
 }

@@ -19,7 +19,7 @@ use crate::unit_table::{UNITS_NAME, read_units};
 use crate::{HeadModel, Joint, Offsets, PoseCorrective, Region, Shape, Skinning};
 
 /// The landmarks, beside the model or where the repository has them.
-const LANDMARKS: [&str; 2] = ["head_sparse_68.txt", "../../landmarks/head_sparse_68.txt"];
+pub(crate) const LANDMARKS: [&str; 2] = ["head_sparse_68.txt", "../../landmarks/head_sparse_68.txt"];
 
 /// Files beside the model that are used if they exist.
 pub(crate) const COMPANIONS: [&str; 3] = [LANDMARKS[0], LANDMARKS[1], UNITS_NAME];
@@ -63,6 +63,7 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, HeadError> {
         eyeballs,
         texture: None,
         vertex_groups,
+        carried: Vec::new(),
     };
     model.validate()?;
     set_regions(&mut model);

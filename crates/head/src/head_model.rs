@@ -16,6 +16,7 @@ pub use skeleton::{Joint, JointRole, Skinning};
 pub use texture::TextureMap;
 pub use validation::HeadModelError;
 
+use crate::Splat;
 use skeleton::joint_transforms;
 
 /// The region of a triangle, which determines how it is dressed with Gaussians.
@@ -109,6 +110,10 @@ pub struct HeadModel {
     pub texture: Option<TextureMap>,
     /// The model's own groups of vertices by name, such as the masks of FLAME; each in ascending order.
     pub vertex_groups: BTreeMap<String, Vec<u32>>,
+    /// Gaussians that come with the model, at rest, instead of those that a seed dresses it with; empty for none. The model's last
+    /// triangles carry one each, in this order. They are not part of its surface, have three vertices of their own, which are the model's
+    /// last, and move rigidly.
+    pub carried: Vec<Splat>,
 }
 
 /// A head model's template with an identity applied: the input of [`HeadModel::vertices`].
@@ -152,6 +157,15 @@ impl HeadModel {
     /// The index of the joint with this role, if the model has one.
     pub fn joint(&self, role: JointRole) -> Option<usize> {
         self.joints.iter().position(|joint| joint.role == Some(role))
+    }
+
+    /// The vertices and triangles of the surface, without the triangles that carry Gaussians. `vertices` are those of the model in some
+    /// shape and pose.
+    pub fn surface<'a>(&'a self, vertices: &'a [Vec3]) -> (&'a [Vec3], &'a [[u32; 3]]) {
+        let carriers = self.carried.len();
+        let of_surface = |count: usize, carrying: usize| count.saturating_sub(carrying);
+        let triangles = of_surface(self.triangles.len(), carriers);
+        (&vertices[..of_surface(vertices.len(), 3 * carriers)], &self.triangles[..triangles])
     }
 
     /// A pose with the head where it is in `other`, and its own face: the translation and the joints from the root to the neck are

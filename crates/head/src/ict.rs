@@ -92,6 +92,7 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, HeadError> {
         eyeballs: EYEBALLS.map(Iterator::collect),
         texture,
         vertex_groups: BTreeMap::new(),
+        carried: Vec::new(),
     };
     face_eyeballs_forward(&mut model);
     if let Some(units) = read_units(&dir.join(UNITS_NAME), &model)? {

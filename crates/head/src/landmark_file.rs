@@ -20,11 +20,15 @@ pub(crate) fn read_rows(path: &Path, vertices: usize) -> Result<Vec<Row>, HeadEr
     let text = read_text(path, FileKind::Table)?;
     let mut rows = Vec::new();
     for (line, number) in text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty()) {
-        let problem = || {
-            let problem = format!("expected three vertices and their weights, found `{}`", excerpt(line));
-            HeadError::Malformed { path: PathBuf::from(path), line: number, problem }
-        };
-        rows.push(row(line, vertices).ok_or_else(problem)?);
+        let malformed = |problem| HeadError::Malformed { path: PathBuf::from(path), line: number, problem };
+        let form =
+            || malformed(format!("expected three vertices and their weights, found `{}`", excerpt(line)));
+        let row = row(line).ok_or_else(form)?;
+        if let Some(beyond) = row.0.into_iter().find(|vertex| *vertex as usize >= vertices) {
+            let known = format!("the mesh has {vertices} vertices, counted from 0");
+            return Err(malformed(format!("found the vertex {beyond}, but {known}")));
+        }
+        rows.push(row);
     }
     if rows.len() < 68 {
         let found = format!("{} rows", rows.len());
@@ -33,12 +37,12 @@ pub(crate) fn read_rows(path: &Path, vertices: usize) -> Result<Vec<Row>, HeadEr
     Ok(rows)
 }
 
-fn row(line: &str, vertices: usize) -> Option<Row> {
+fn row(line: &str) -> Option<Row> {
     let words: Vec<&str> = line.split_ascii_whitespace().collect();
     let [a, u, b, v, c, w] = words[..] else { return None };
     let mut corners = [0; 3];
     for (corner, word) in corners.iter_mut().zip([a, b, c]) {
-        *corner = word.parse().ok().filter(|vertex: &u32| (*vertex as usize) < vertices)?;
+        *corner = word.parse().ok()?;
     }
     let weights = Vec3::new(u.parse().ok()?, v.parse().ok()?, w.parse().ok()?);
     // Written with three digits.

@@ -11,6 +11,7 @@ mod gltf;
 mod gnm;
 mod head_model;
 mod ict;
+mod lam;
 mod landmark_file;
 mod mesh;
 mod micro_expression;

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::{HeadError, HeadModel, flame, gltf, gnm, ict};
+use crate::{HeadError, HeadModel, flame, gltf, gnm, ict, lam};
 
 /// A kind of head model, as in `--head KIND:PATH`.
 struct Kind {
@@ -16,17 +16,20 @@ struct Kind {
     about: &'static str,
     /// Files that are read if they exist beside the one that is named.
     companions: &'static [&'static str],
+    /// That of them which lists the landmarks; empty where they are part of the model.
+    landmarks: &'static str,
     /// Reads the model; the seed matters to heads that are made from one.
     load: fn(&Path, u64) -> Result<HeadModel, HeadError>,
 }
 
 /// The kinds of head models. The first is the built-in head.
-static KINDS: [Kind; 7] = [
+static KINDS: [Kind; 8] = [
     Kind {
         name: "builtin",
         path: "",
         about: "a head sculpted by code from a seed",
         companions: &[],
+        landmarks: "",
         load: |_, seed| Ok(HeadModel::builtin(seed)),
     },
     Kind {
@@ -34,6 +37,7 @@ static KINDS: [Kind; 7] = [
         path: "DIR",
         about: "ICT-FaceKit's FaceXModel folder",
         companions: &[],
+        landmarks: "",
         load: |dir, _| ict::load(dir),
     },
     Kind {
@@ -41,6 +45,7 @@ static KINDS: [Kind; 7] = [
         path: "",
         about: "the average built-in head, whose identity basis are the traits of persons",
         companions: &[],
+        landmarks: "",
         load: |_, _| Ok(HeadModel::builtin_average()),
     },
     Kind {
@@ -48,6 +53,7 @@ static KINDS: [Kind; 7] = [
         path: "FILE",
         about: "FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth",
         companions: &flame::COMPANIONS,
+        landmarks: flame::LANDMARKS[0],
         load: |file, _| flame::load(file, true),
     },
     Kind {
@@ -55,6 +61,7 @@ static KINDS: [Kind; 7] = [
         path: "FILE",
         about: "FLAME as published",
         companions: &flame::COMPANIONS,
+        landmarks: flame::LANDMARKS[0],
         load: |file, _| flame::load(file, false),
     },
     Kind {
@@ -62,6 +69,7 @@ static KINDS: [Kind; 7] = [
         path: "FILE",
         about: "GNM Head 3 (gnm_head.npz)",
         companions: &gnm::COMPANIONS,
+        landmarks: gnm::LANDMARKS[0],
         load: |file, _| gnm::load(file),
     },
     Kind {
@@ -69,9 +77,23 @@ static KINDS: [Kind; 7] = [
         path: "FILE",
         about: "any rigged head as .glb or .gltf",
         companions: &gltf::COMPANIONS,
+        landmarks: gltf::LANDMARKS,
         load: |file, _| gltf::load(file),
     },
+    Kind {
+        name: "lam",
+        path: "DIR|ZIP",
+        about: "an avatar of LAM: skin.glb and offset.ply",
+        companions: &[],
+        landmarks: "",
+        load: |path, _| lam::load(path),
+    },
 ];
+
+/// The file that lists the landmarks of models of this kind; empty where they are part of the model.
+pub(crate) fn landmark_file(kind: &str) -> &'static str {
+    KINDS.iter().find(|known| known.name == kind).map_or("", |kind| kind.landmarks)
+}
 
 /// A head model to read or make: `builtin`, or a kind and a path, as `flame:FILE`.
 #[derive(Clone)]
@@ -95,6 +117,11 @@ impl ModelSource {
     pub fn of_kind(name: &str) -> Option<Self> {
         let kind = KINDS.iter().find(|kind| kind.name == name)?;
         Some(Self { kind, path: PathBuf::new() })
+    }
+
+    /// This kind of head model at another path.
+    pub fn with_path(&self, path: PathBuf) -> Self {
+        Self { kind: self.kind, path }
     }
 
     /// Whether it is made without files.
@@ -187,6 +214,7 @@ mod tests {
             "flame-toothless:a.npz",
             "gnm:a.npz",
             "gltf:a.glb",
+            "lam:a.zip",
         ] {
             let source: ModelSource = text.parse().unwrap();
             assert_eq!(source.to_string(), text);

@@ -46,7 +46,7 @@ def demo(
 
     Args:
         out: Folder for the datasets, the scores and report.html.
-        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         seed: Random seed; each seed renders other heads.
         size: Size of the large frames, WIDTHxHEIGHT; smaller is faster.
         kitti: Folder of KITTI 2015, to also score photographs with true flow.
@@ -98,7 +98,7 @@ def render(
         shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         stop_after: Stop after N pairs, clips or timesteps; the same command continues.
         force: Delete the dataset in the folder and start over.
-        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         scenes: Number of scenes, one subject each.
         frames: Frame pairs per scene; a fraction is the mean over scenes of nearly equal length.
         size: Size of the frames, WIDTHxHEIGHT.
@@ -354,7 +354,7 @@ def rasterize(
         out: Folder to write into, created if missing; with a moving camera also a video file.
         gaussians: Gaussians of this frame: .ply, .splat, .spz, .glb, .ksplat or .sog.
         next: Gaussians of the next frame: the same ones in the same order.
-        head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         motion: Motion of the head: `own` (the avatar's training motion), a flame_param.npz or capture of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
         timestep: Timestep of the motion in this frame, from 0.
         action_units: Action units in place of a motion, 0 to 1 each, such as 6=0.5,12_L=1.
@@ -1026,7 +1026,7 @@ def avatar_capture(
 
     Args:
         out: Folder of the capture.
-        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         cameras: Number of cameras, 1 to 16, always including the front camera, number 8.
         timesteps: Number of timesteps.
         size: Size of the pictures, WIDTHxHEIGHT.
@@ -1092,7 +1092,7 @@ def avatar_fit(
 
     Args:
         data: Folder of the capture: transforms.json or transforms_train.json with its cameras, and landmarks.csv.
-        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         out: Folder to write.
         landmarks: Landmarks: a table like landmarks.csv, or a folder of iBUG's .pts files named like the pictures [default: DATA/landmarks.csv].
         landmarks_of: Landmarks of one camera, as OpenFace writes them, or MediaPipe's as columns x_0, y_0, ...; may be repeated.
@@ -1138,7 +1138,7 @@ def avatar_train(
         config: Preset (gaussian-avatars, cpu) or TOML file to start from [default: gaussian-avatars].
         data: Folder of the capture, as VHAP exports it.
         resume: Continue the run in this folder from its last checkpoint; pass DATA and --model if the capture or head model has moved.
-        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model) [default: the one that head.json of the capture names].
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model) [default: the one that head.json of the capture names].
         subject: Seed of a built-in head [default: that in head.json of the capture, else 1].
         print_config: Print the configuration with every key instead of training, as TOML or JSON.
         checkpoint_every: Minimum time between two checkpoints.
@@ -1208,7 +1208,7 @@ def avatar_mesh(
     """Write the mesh of a head model in some shape and pose.
 
     Args:
-        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         output: File to write: .obj, .ply or .glb.
         params: Parameters, .npz or .json [default: the head at rest].
         action_units: Action units instead of parameters, 0 to 1 each, such as 6=0.5,12_L=1.
@@ -1242,7 +1242,7 @@ def avatar_export(
 
     Args:
         output: File to write: .ply, .splat, .spz or .glb.
-        head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         motion: Motion of the head: `own` (the avatar's training motion), a flame_param.npz or capture of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
         timestep: Timestep of the motion in this frame, from 0.
         action_units: Action units in place of a motion, 0 to 1 each, such as 6=0.5,12_L=1.
@@ -1271,7 +1271,7 @@ def avatar_units(
     """Show how well a head model does each action unit, and write its table of units.
 
     Args:
-        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         seed: Seed of a built-in head.
         output: Table to write (.json): expression weights and joint rotations of each unit.
         force: Overwrite the file.
@@ -1323,6 +1323,7 @@ def mer_synth(
     noise: float = 1,
     drift: float = 1,
     lighting: float = 1,
+    head: str | Sequence[str] | None = None,
     seed: int = 1,
     flow_format: str = "flo",
     only_key_frames: bool = False,
@@ -1331,7 +1332,7 @@ def mer_synth(
     force: bool = False,
     callback: Callback | None = None,
 ) -> Report:
-    """Render a labelled micro-expression dataset with the built-in heads.
+    """Render a labelled micro-expression dataset.
 
     Args:
         out: Folder of the dataset.
@@ -1343,6 +1344,7 @@ def mer_synth(
         noise: Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness.
         drift: Head drift within a clip; 1 is up to 0.1 degrees and 0.15 mm to either side.
         lighting: Illumination changes; 1 is slow changes of up to 2 %, with a gradient over the face, and 0.3 % flicker at 100 Hz.
+        head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         seed: Random seed.
         flow_format: File format of the true flow.
         only_key_frames: Write the onset and apex frames alone: all that features need.
@@ -1352,6 +1354,8 @@ def mer_synth(
         callback: Called with progress.
     """
     settings = locals()
+    for name in ("head",):
+        settings[name] = _listed(settings[name])
     return _run("mer synth", settings)
 
 
@@ -1369,6 +1373,7 @@ def mer_synth_long(
     blinks: float = 1,
     glances: float = 1,
     speech: float = 1,
+    head: str | Sequence[str] | None = None,
     seed: int = 1,
     shard: str = "1/1",
     stop_after: int | None = None,
@@ -1390,6 +1395,7 @@ def mer_synth_long(
         blinks: Blinks; 1 closes the lids every 1.6 to 5.5 seconds.
         glances: Glances; 1 turns the eyes by up to 18 degrees.
         speech: Speech; 1 is a short sentence now and then.
+        head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         seed: Random seed.
         shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         stop_after: Stop after N pairs, clips or timesteps; the same command continues.
@@ -1397,6 +1403,8 @@ def mer_synth_long(
         callback: Called with progress.
     """
     settings = locals()
+    for name in ("head",):
+        settings[name] = _listed(settings[name])
     return _run("mer synth-long", settings)
 
 

@@ -1,9 +1,11 @@
 //! The heads of datasets: where they are, and what is recorded of their files.
 
 use glam::DVec3;
-use srflow_avatar::HeadSource;
+use srflow_avatar::{Avatar, HeadSource};
+use srflow_core::random::Key;
 
 use crate::RenderError;
+use crate::error::require;
 use crate::setting_files::{files_at, fingerprint};
 
 /// A point between chin and crown, independent of the subject, metres.
@@ -14,6 +16,12 @@ pub(crate) fn centre(head: &HeadSource) -> DVec3 {
     }
 }
 
+/// The help of the setting of heads that subjects show in turn.
+#[cfg(feature = "clap")]
+pub(crate) fn heads_help() -> String {
+    format!("Head model; may be repeated, and the subjects show them in turn: {}", HeadSource::help())
+}
+
 /// The head as recorded with a dataset, independent of where its files are.
 ///
 /// # Errors
@@ -22,6 +30,47 @@ pub(crate) fn recorded(head: &HeadSource) -> Result<String, RenderError> {
     match head.is_builtin() {
         true => Ok(head.kind().to_owned()),
         false => Ok(format!("{}, {}", head.kind(), fingerprint(&head_files(head)?))),
+    }
+}
+
+/// The heads of a set of clips or videos, whose subjects show them in turn: as recorded with the set, with the fingerprint of the files in
+/// place of their path.
+///
+/// # Errors
+/// When there is none, or its files cannot be read.
+pub(crate) fn recorded_in_turn(heads: &[HeadSource]) -> Result<Vec<HeadSource>, RenderError> {
+    require("head", "none", "at least one", !heads.is_empty())?;
+    let recorded = |head: &HeadSource| match head.is_builtin() {
+        true => Ok(head.clone()),
+        false => Ok(head.with_path(fingerprint(&head_files(head)?))),
+    };
+    heads.iter().map(recorded).collect()
+}
+
+/// Whether these are the heads of a set that names none.
+pub(crate) fn is_default(heads: &[HeadSource]) -> bool {
+    heads == [HeadSource::builtin()]
+}
+
+/// The avatar of a subject in a set of this seed, whose subjects show these heads in turn.
+///
+/// # Errors
+/// When its files cannot be read, or it lacks the landmarks by which a camera frames a face.
+pub(crate) fn of_subject(
+    heads: &[HeadSource],
+    seed: u64,
+    subject: u32,
+    who: &str,
+) -> Result<Avatar, RenderError> {
+    let head = &heads[subject as usize % heads.len()];
+    let refused = |reason: String| RenderError::Head { who: who.to_owned(), reason };
+    let seed = u64::from(Key::new(seed).scene(subject).stream("subject").bits());
+    let avatar = head.avatar(seed).map_err(|error| refused(error.to_string()))?;
+    match avatar.model().landmarks.len() {
+        68.. => Ok(avatar),
+        found => {
+            Err(refused(format!("{head} has {found} landmarks; a camera frames a face by the 68 of dlib")))
+        }
     }
 }
 

@@ -34,7 +34,7 @@ pub use camera::{
 pub use device::{Device, DeviceRasterizer};
 pub use error::{CameraError, RasterizeError};
 pub use files::{
-    SPLAT_FORMATS, SplatFormat, Up, read_bound_ply, read_gaussians, read_ply, write_bound_ply,
+    SPLAT_FORMATS, SplatFormat, Up, parse_ply, read_bound_ply, read_gaussians, read_ply, write_bound_ply,
     write_gaussians, write_ply,
 };
 pub use frame::{Frame, Outputs, Statistics};

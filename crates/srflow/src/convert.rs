@@ -185,7 +185,7 @@ impl Target {
     }
 }
 
-/// What [`ConvertJob`] has written. As text it is empty.
+/// What [`ConvertJob`] has written.
 #[derive(Debug, Clone, Serialize)]
 #[serde(untagged)]
 pub enum ConvertReport {
@@ -204,7 +204,7 @@ pub struct FlowWritten {
     pub longest: f32,
 }
 
-/// Gaussians in a file. As text it is empty.
+/// Gaussians in a file.
 #[derive(Debug, Clone, Serialize)]
 pub struct GaussiansWritten {
     pub output: PathBuf,
@@ -246,13 +246,34 @@ impl Report for ConvertReport {}
 impl Report for GaussiansWritten {}
 
 impl fmt::Display for ConvertReport {
-    fn fmt(&self, _: &mut fmt::Formatter) -> fmt::Result {
-        Ok(())
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Flow(flow) => flow.fmt(f),
+            Self::Gaussians(gaussians) => gaussians.fmt(f),
+        }
+    }
+}
+
+impl fmt::Display for FlowWritten {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Self { output, width, height, known_pixels, longest } = self;
+        let unknown = width * height - known_pixels;
+        write!(f, "{}: flow of {width}x{height} pixels, at most {longest:.2} px long", output.display())?;
+        if unknown > 0 {
+            write!(f, ", unknown at {unknown} pixels")?;
+        }
+        writeln!(f)
     }
 }
 
 impl fmt::Display for GaussiansWritten {
-    fn fmt(&self, _: &mut fmt::Formatter) -> fmt::Result {
-        Ok(())
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Self { output, gaussians, sh_degree, antialiased } = self;
+        let antialiased = if *antialiased { ", antialiased" } else { "" };
+        writeln!(
+            f,
+            "{}: {gaussians} Gaussians with spherical harmonics of degree {sh_degree}{antialiased}",
+            output.display()
+        )
     }
 }

@@ -289,6 +289,7 @@ fn lying_zip64_counts_are_refused() {
         "arrays.npz",
         "parameters.npz",
         "gnm",
+        "lam",
         "checkpoint of an avatar",
     ];
     assert_eq!(names, expected);

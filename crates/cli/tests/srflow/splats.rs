@@ -59,7 +59,8 @@ fn convert_goes_round_the_formats_of_gaussians() {
     assert!(note.contains("the order of the Gaussians, spherical harmonics above degree 0"), "{note}");
     let down = read("a.splat").positions[0];
     assert!(down.distance(Vec3::new(0.0, -0.3, -0.05)) < 1e-6, "{down}");
-    succeeds(&run(folder.path(), &["convert", "a.splat", "back.ply"]));
+    let said = succeeds(&run(folder.path(), &["convert", "a.splat", "back.ply"]));
+    assert_eq!(said, "back.ply: 3 Gaussians with spherical harmonics of degree 0\n");
     assert!(read("back.ply").positions[0].distance(original.positions[0]) < 1e-6);
 
     // A scene where -y is up, and back.
@@ -183,8 +184,10 @@ fn a_head_is_exported_with_its_mesh_cameras_and_motion() {
 fn a_mesh_takes_action_units() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = ["avatar", "mesh", "--model", "builtin", "--action-units", "12=0.8,26=0.5", "-o", "smile.obj"];
-    succeeds(&run(folder.path(), &mesh));
+    let said = succeeds(&run(folder.path(), &mesh));
     let model = HeadModel::builtin(1);
+    let (triangles, vertices) = (model.triangles.len(), model.template.len());
+    assert_eq!(said, format!("smile.obj: {triangles} triangles on {vertices} vertices\n"));
     let pose = model.pose_of_action_units(&[(12, Side::Both, 0.8), (26, Side::Both, 0.5)]).unwrap();
     let mut expected = Vec::new();
     model.vertices(&model.shaped(&[]), &pose, &mut expected);

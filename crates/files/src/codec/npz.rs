@@ -70,6 +70,30 @@ pub fn open_zip(bytes: Vec<u8>) -> Result<ZipArchive<Cursor<Vec<u8>>>, FileProbl
     ZipArchive::new(Cursor::new(bytes)).map_err(sound)
 }
 
+/// The bytes of an entry of an archive of this `kind`, such as `a .sog file`; at most `most` of them.
+///
+/// # Errors
+/// When there is no such entry, or it is larger, or claims more than its bytes can hold.
+pub fn zip_entry(
+    archive: &mut ZipArchive<Cursor<Vec<u8>>>,
+    name: &str,
+    kind: &str,
+    most: u64,
+) -> Result<Vec<u8>, FileProblem> {
+    let expected = || format!("`{}`, as in {kind}", srflow_core::excerpt(name));
+    let missing = || FileProblem::field("entries", expected(), "none");
+    let entry = archive.by_name(name).map_err(|_| missing())?;
+    let (stored, len) = (entry.compressed_size(), entry.size());
+    // Deflate holds a thousand bytes in one.
+    if len > most || len > stored.saturating_mul(1032) {
+        let found = format!("{len} bytes in {stored}");
+        return Err(FileProblem::field("entry", "a size that its bytes can hold", found));
+    }
+    let mut bytes = Vec::new();
+    entry.take(len).read_to_end(&mut bytes).map_err(FileProblem::reading)?;
+    Ok(bytes)
+}
+
 /// Opens an archive of arrays.
 fn open_arrays(bytes: Vec<u8>) -> Result<ZipArchive<Cursor<Vec<u8>>>, FileProblem> {
     if is_torch_save(&bytes) {

@@ -108,6 +108,7 @@ impl HeadModel {
             eyeballs: [eyeball.collect(), right_eyeball.collect()],
             texture: None,
             vertex_groups: BTreeMap::new(),
+            carried: Vec::new(),
         }
     }
 }

@@ -18,6 +18,7 @@ mod surface;
 use glam::{Quat, Vec3};
 use srflow_core::random::{Key, Stream};
 
+use crate::model_source::landmark_file;
 use crate::{HeadError, HeadModel, Region, ShapedHead};
 use appearance::Appearance;
 use light::Exposure;
@@ -34,14 +35,19 @@ pub struct Splat {
     pub color: Vec3,
 }
 
-/// The Gaussians that dress the head of `shaped` as the person of `seed`, each with the number of the triangle that carries it. The model
-/// must be valid.
+/// The Gaussians that dress the head of `shaped` as the person of `seed`, or those that come with the model, each with the number of the
+/// triangle that carries it. The model must be valid.
 ///
 /// # Errors
 /// [`HeadError::Landmarks`] when the model does not have 68 landmarks.
 pub fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64) -> Result<Vec<(u32, Splat)>, HeadError> {
+    if !model.carried.is_empty() {
+        let first = model.triangles.len() - model.carried.len();
+        return Ok((first as u32..).zip(model.carried.iter().copied()).collect());
+    }
     if model.landmarks.len() < 68 {
-        return Err(HeadError::Landmarks { model: model.name.clone(), found: model.landmarks.len() });
+        let (name, found) = (model.name.clone(), model.landmarks.len());
+        return Err(HeadError::Landmarks { file: landmark_file(&name), model: name, found });
     }
     let surface = Surface::new(model, shaped);
     let mut dressing = Dressing {

@@ -39,7 +39,7 @@ const JOINTS: usize = 5;
 pub(crate) const COMPANIONS: [&str; 5] = [MASKS, LANDMARKS[0], LANDMARKS[1], TEMPLATE, UNITS_NAME];
 const MASKS: &str = "FLAME_masks.pkl";
 const TEMPLATE: &str = "head_template_mesh.obj";
-const LANDMARKS: [&str; 2] = ["landmark_embedding_with_eyes.npy", "landmark_embedding.npy"];
+pub(crate) const LANDMARKS: [&str; 2] = ["landmark_embedding_with_eyes.npy", "landmark_embedding.npy"];
 
 /// Opening of the jaw at full intensity of action units 26 (jaw drop) and 27 (mouth stretch), radians.
 const JAW_DROP: f32 = 0.20;
@@ -96,6 +96,7 @@ pub(crate) fn load(path: &Path, with_teeth: bool) -> Result<HeadModel, HeadError
         action_units: jaw_units(),
         landmarks,
         vertex_groups,
+        carried: Vec::new(),
     };
     model.validate()?;
     set_regions(&mut model);

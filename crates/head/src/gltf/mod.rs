@@ -10,7 +10,7 @@ use std::path::Path;
 use std::rc::Rc;
 
 use glam::{DMat3, DMat4, DVec3, Vec2, Vec3};
-use srflow_files::{FileKind, FileProblem};
+use srflow_files::{FileError, FileKind, FileProblem};
 use srflow_splat::gltf::{Document, Node, Placed, Primitive, TRIANGLES};
 
 use crate::HeadError;
@@ -23,7 +23,7 @@ use crate::unit_table::{UNITS_NAME, read_units};
 use crate::{HeadModel, Joint, JointRole, Offsets, Region, Shape, Skinning, TextureMap};
 
 /// Landmarks beside the model: 68 rows of three vertices and their weights. Vertices count through the meshes in the order of the scene.
-const LANDMARKS: &str = "landmarks_68.txt";
+pub(crate) const LANDMARKS: &str = "landmarks_68.txt";
 
 /// Files beside the model that are used if they exist.
 pub(crate) const COMPANIONS: [&str; 2] = [LANDMARKS, UNITS_NAME];
@@ -65,9 +65,7 @@ type Posed = Rc<[Option<(u32, DMat4)>]>;
 /// # Errors
 /// Names the file and the part that is missing or malformed.
 pub(crate) fn load(path: &Path) -> Result<HeadModel, HeadError> {
-    let document = Document::open(path, FileKind::Mesh)?;
-    let mut model =
-        Builder::new(&document).and_then(Builder::model).map_err(|problem| problem.in_file(path))?;
+    let mut model = rigged(&Document::open(path, FileKind::Mesh)?, path)?;
     let landmarks = path.with_file_name(LANDMARKS);
     if landmarks.exists() {
         let rows = read_rows(&landmarks, model.template.len())?;
@@ -82,6 +80,14 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, HeadError> {
         model.action_units = fitted_units(&model, &[]);
     }
     Ok(model)
+}
+
+/// The model of a document, which `path` names in errors, without landmarks and not yet validated.
+///
+/// # Errors
+/// Names the part that is missing or malformed.
+pub(crate) fn rigged(document: &Document, path: &Path) -> Result<HeadModel, FileError> {
+    Builder::new(document).and_then(Builder::model).map_err(|problem| problem.in_file(path))
 }
 
 struct Builder<'a> {
@@ -229,6 +235,7 @@ impl<'a> Builder<'a> {
             eyeballs,
             texture,
             vertex_groups: BTreeMap::new(),
+            carried: Vec::new(),
         })
     }
 

@@ -81,6 +81,7 @@ pub(super) fn model(stream: &mut Stream) -> HeadModel {
             triangles: vec![[0, 1, 2]; count as usize - 2],
         }),
         vertex_groups: [("lips".to_owned(), vec![4, 9])].into(),
+        carried: Vec::new(),
         joints,
     }
 }

@@ -126,6 +126,16 @@ impl HeadModel {
                 self.check_index("the texture of a triangle", *point as usize, texture.points.len())
             })?;
         }
+        if self.carried.len() > self.triangles.len() || 3 * self.carried.len() > vertices {
+            let found = self.triangles.len().min(vertices / 3);
+            let model = self.name.clone();
+            return Err(HeadModelError::Count {
+                model,
+                list: "carriers",
+                found,
+                expected: self.carried.len(),
+            });
+        }
         self.vertex_groups
             .iter()
             .try_for_each(|(name, group)| self.check_indices(&format!("the group {name}"), group))

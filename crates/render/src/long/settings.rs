@@ -1,10 +1,14 @@
 //! The settings of long videos.
 
 use serde::{Deserialize, Serialize};
+use srflow_avatar::HeadSource;
 
 use crate::RenderError;
 use crate::clap::Args;
 use crate::error::require;
+#[cfg(feature = "clap")]
+use crate::head::heads_help;
+use crate::head::is_default;
 
 /// The settings of long videos. Strengths of the disturbances are factors: 0 is none, 1 is about that of published recordings.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,6 +49,10 @@ pub struct LongSettings {
     /// Speech; 1 is a short sentence now and then
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().speech)]
     pub speech: f32,
+    /// Head model, or several, which the subjects show in turn
+    #[arg(long, value_name = "HEAD", default_values_t = Self::default().head, help = heads_help())]
+    #[serde(skip_serializing_if = "is_default")]
+    pub head: Vec<HeadSource>,
     /// Random seed
     #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
     pub seed: u64,
@@ -64,6 +72,7 @@ impl Default for LongSettings {
             blinks: 1.0,
             glances: 1.0,
             speech: 1.0,
+            head: vec![HeadSource::builtin()],
             seed: 1,
         }
     }

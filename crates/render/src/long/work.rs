@@ -3,17 +3,17 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_avatar::{Avatar, PosedHead};
+use srflow_avatar::{HeadSource, PosedHead};
 use srflow_files::write_image_png;
 use srflow_splat::{Frame, Gaussians, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::settings::LongSettings;
 use super::timeline::Video;
-use crate::RenderError;
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::record::{json_text, read_record};
 use crate::synth::LANDMARKS_NAME;
-use crate::synth::portrait::{BACKDROP, head_seed};
+use crate::synth::portrait::BACKDROP;
+use crate::{RenderError, head};
 
 /// Name of the file with the arguments.
 const SETTINGS_NAME: &str = "long.json";
@@ -40,20 +40,23 @@ struct Arguments {
 /// A set of long videos, one for each subject.
 pub(crate) struct Videos {
     arguments: Arguments,
+    head: Vec<HeadSource>,
 }
 
 impl Videos {
     pub fn new(settings: LongSettings) -> Result<Self, RenderError> {
         settings.check()?;
+        let recorded = head::recorded_in_turn(&settings.head)?;
+        let (head, settings) = (settings.head.clone(), LongSettings { head: recorded, ..settings });
         let srflow_version = env!("CARGO_PKG_VERSION").to_owned();
-        Ok(Self { arguments: Arguments { srflow_version, settings } })
+        Ok(Self { arguments: Arguments { srflow_version, settings }, head })
     }
 
     /// Of the set in a folder.
     pub fn read(dir: &Path) -> Result<Self, RenderError> {
         let arguments: Arguments = read_record(&dir.join(SETTINGS_NAME))?;
         arguments.settings.check()?;
-        Ok(Self { arguments })
+        Ok(Self { head: arguments.settings.head.clone(), arguments })
     }
 
     pub fn settings(&self) -> &LongSettings {
@@ -62,8 +65,7 @@ impl Videos {
 
     pub fn video(&self, subject: u32) -> Result<Video, RenderError> {
         let name = name(subject);
-        let avatar = Avatar::builtin(head_seed(self.settings().seed, subject))
-            .map_err(|error| RenderError::Head { who: name.clone(), reason: error.to_string() })?;
+        let avatar = head::of_subject(&self.head, self.settings().seed, subject, &name)?;
         Ok(Video::new(name, avatar, self.settings(), subject, self.settings().frames(PIECE))?)
     }
 }

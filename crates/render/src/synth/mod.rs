@@ -1,4 +1,4 @@
-//! Rendering a labelled micro-expression dataset: the built-in heads show micro-expressions, with the true flow from onset to
+//! Rendering a labelled micro-expression dataset: heads show micro-expressions, with the true flow from onset to
 //! apex, which no recorded dataset has.
 //!
 //! ```text

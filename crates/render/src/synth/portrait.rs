@@ -2,7 +2,7 @@
 
 use glam::{DVec3, EulerRot, Quat, Vec3};
 use srflow_avatar::{Avatar, PosedHead};
-use srflow_core::random::{Key, Stream};
+use srflow_core::random::Stream;
 use srflow_head::HeadPose;
 use srflow_splat::Camera;
 
@@ -16,11 +16,6 @@ const MARGIN: f64 = 1.18;
 
 /// Variation of the framing between recordings of one subject: degrees of azimuth, elevation and roll.
 const VIEW_DEGREES: [f32; 3] = [6.0, 4.0, 2.0];
-
-/// Seed of a subject's head in a set of this seed.
-pub fn head_seed(seed: u64, subject: u32) -> u64 {
-    u64::from(Key::new(seed).scene(subject).stream("subject").bits())
-}
 
 /// A camera at a distance of one metre whose square frame the face fills.
 pub fn camera(avatar: &Avatar, side: usize, stream: &mut Stream) -> Camera {

@@ -3,12 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use srflow_avatar::HeadSource;
 use srflow_data::micro_expression::EmotionClass;
 use srflow_files::FlowFormat;
 
 use crate::RenderError;
 use crate::clap::Args;
 use crate::error::require;
+#[cfg(feature = "clap")]
+use crate::head::heads_help;
+use crate::head::is_default;
 
 /// Number of frames at rest before the onset and after the offset.
 pub(super) const FRAMES_AT_REST: usize = 3;
@@ -45,6 +49,10 @@ pub struct SynthSettings {
     /// at 100 Hz
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().lighting)]
     pub lighting: f32,
+    /// Head model, or several, which the subjects show in turn
+    #[arg(long, value_name = "HEAD", default_values_t = Self::default().head, help = heads_help())]
+    #[serde(skip_serializing_if = "is_default")]
+    pub head: Vec<HeadSource>,
     /// Random seed
     #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
     pub seed: u64,
@@ -68,6 +76,7 @@ impl Default for SynthSettings {
             noise: 1.0,
             drift: 1.0,
             lighting: 1.0,
+            head: vec![HeadSource::builtin()],
             seed: 1,
             flow_format: FlowFormat::Flo,
             only_key_frames: false,

@@ -4,19 +4,19 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_avatar::{Avatar, PosedHead};
+use srflow_avatar::{Avatar, HeadSource, PosedHead};
 use srflow_data::micro_expression::PLAIN_NAME;
 use srflow_files::{write_file, write_flow_as, write_image_png, write_mask_png};
 use srflow_head::MicroExpression;
 use srflow_splat::{DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, RasterizeError};
 
 use super::clip::Clip;
-use super::portrait::{BACKDROP, head_seed};
+use super::portrait::BACKDROP;
 use super::settings::{ClipPlan, Motion, SynthSettings};
-use crate::RenderError;
 use crate::flow_parts::{FlowParts, Seen};
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::record::{json_text, read_record};
+use crate::{RenderError, head};
 
 /// Name of the file with the arguments.
 const SETTINGS_NAME: &str = "synth.json";
@@ -56,20 +56,23 @@ pub struct ClipRecord {
 /// A dataset of clips, grouped by subject.
 pub(crate) struct Clips {
     arguments: Arguments,
+    head: Vec<HeadSource>,
     pub(super) clips: Vec<ClipPlan>,
 }
 
 impl Clips {
     pub fn new(settings: SynthSettings) -> Result<Self, RenderError> {
         let clips = settings.plan()?;
+        let recorded = head::recorded_in_turn(&settings.head)?;
+        let (head, settings) = (settings.head.clone(), SynthSettings { head: recorded, ..settings });
         let arguments = Arguments { srflow_version: env!("CARGO_PKG_VERSION").to_owned(), settings };
-        Ok(Self { arguments, clips })
+        Ok(Self { arguments, head, clips })
     }
 
     /// Of the dataset in a folder.
     pub fn read(dir: &Path) -> Result<Self, RenderError> {
         let arguments: Arguments = read_record(&dir.join(SETTINGS_NAME))?;
-        Ok(Self { clips: arguments.settings.plan()?, arguments })
+        Ok(Self { clips: arguments.settings.plan()?, head: arguments.settings.head.clone(), arguments })
     }
 
     fn settings(&self) -> &SynthSettings {
@@ -175,10 +178,8 @@ impl Plan for Clips {
     }
 
     fn group(&self, subject: u32) -> Result<Avatar, RenderError> {
-        Avatar::builtin(head_seed(self.settings().seed, subject)).map_err(|error| RenderError::Head {
-            who: self.clip(subject, 0).subject_name.clone(),
-            reason: error.to_string(),
-        })
+        let who = &self.clip(subject, 0).subject_name;
+        head::of_subject(&self.head, self.settings().seed, subject, who)
     }
 
     fn worker(&self) -> Renderer {

@@ -1,5 +1,6 @@
 //! A rendered micro-expression dataset is complete, independent of the number of threads, and its flow is the motion.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
@@ -177,4 +178,42 @@ fn another_folder_is_left_alone() {
     .unwrap();
     let error = make(&settings(), &set, 1).unwrap_err().to_string();
     assert!(error.contains("seed 9, requested is 1") && error.contains("`force`"), "{error}");
+}
+
+#[test]
+fn subjects_show_the_heads_in_turn_wherever_the_files_are() {
+    let none = SynthSettings { head: Vec::new(), ..settings() };
+    let error = run(&none, Request::new(Path::new("none")), 1).unwrap_err().to_string();
+    assert_eq!(error, "head none: expected at least one");
+
+    let avatar = Path::new("../../../shared/data/lam/p2-1");
+    if !avatar.is_dir() {
+        eprintln!("skipped: shared-data: no avatar of LAM at {}", avatar.display());
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let copy = folder.path().join("copy");
+    fs::create_dir(&copy).unwrap();
+    for entry in fs::read_dir(avatar).unwrap() {
+        let entry = entry.unwrap();
+        fs::copy(entry.path(), copy.join(entry.file_name())).unwrap();
+    }
+    let of = |head: &Path| SynthSettings {
+        head: vec!["builtin".parse().unwrap(), format!("lam:{}", head.display()).parse().unwrap()],
+        subjects: 3,
+        clips: 1,
+        only_key_frames: true,
+        ..settings()
+    };
+    let dir = folder.path().join("set");
+    assert_eq!(make(&of(avatar), &dir, 2).unwrap(), 3);
+    assert_eq!(make(&of(&copy), &dir, 2).unwrap(), 0, "the same files at another place are the same head");
+    let builtin = folder.path().join("builtin");
+    make(&SynthSettings { subjects: 3, clips: 1, only_key_frames: true, ..settings() }, &builtin, 2).unwrap();
+    let [ours, theirs] = [dir, builtin].map(|dir| BTreeMap::from_iter(contents(&dir)));
+    let same = |subject: &str| {
+        let frames = ours.iter().filter(|(file, _)| file.to_string_lossy().contains(subject));
+        frames.clone().count() > 2 && frames.clone().all(|(file, bytes)| theirs.get(file) == Some(bytes))
+    };
+    assert_eq!(["s01", "s02", "s03"].map(same), [true, false, true]);
 }

@@ -17,7 +17,7 @@ use srflow_files::{FileError, FileProblem};
 
 use crate::{Gaussians, sh};
 
-pub use ply::{read_bound_ply, read_ply, write_bound_ply, write_ply};
+pub use ply::{parse_ply, read_bound_ply, read_ply, write_bound_ply, write_ply};
 
 type Write = fn(&Path, &Gaussians) -> Result<(), FileError>;
 

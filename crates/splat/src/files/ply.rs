@@ -54,6 +54,17 @@ pub fn read_bound_ply(path: &Path) -> Result<(Gaussians, Vec<u32>), FileError> {
     read(path, true)
 }
 
+/// As [`read_ply`], for a file whose bytes are known; `path` names it in errors.
+///
+/// # Errors
+/// As [`read_ply`].
+pub fn parse_ply(path: &Path, mut bytes: &[u8]) -> Result<Gaussians, FileError> {
+    let len = bytes.len() as u64;
+    let read = decode(&mut bytes, len, false).map_err(|problem| problem.in_file(path))?;
+    read.invisible.note(path, &read.gaussians);
+    Ok(read.gaussians)
+}
+
 fn read(path: &Path, bound: bool) -> Result<(Gaussians, Vec<u32>), FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
     let (file, len) = open_file(path, FileKind::Splats)?;

@@ -9,18 +9,19 @@
 //! | `sh0` | numbers in a list of coefficients, and the opacity; in version 1, `u8` between limits, of opacity its logit |
 //! | `shN` | numbers in a list of `centroids`, 64 in a row, and each Gaussian's centroid (`labels`, two bytes) |
 
-use std::io::{Cursor, Read};
 use std::path::Path;
 
 use glam::Vec3;
 use serde::Deserialize;
 use srflow_files::{
-    FileError, FileKind, FileProblem, open_zip, parse_error_in_words, read_file, rgba_of_image,
+    FileError, FileKind, FileProblem, open_zip, parse_error_in_words, read_file, rgba_of_image, zip_entry,
 };
-use zip::ZipArchive;
 
 use super::{check, problem, room_for, unit_rotation};
 use crate::Gaussians;
+
+/// The format in errors.
+const SOG: &str = "a .sog file";
 
 /// Largest entry, of which `meta.json` takes 20 kB and a picture a few bytes a pixel.
 const MAX_ENTRY: u64 = 1 << 30;
@@ -85,7 +86,7 @@ pub(super) fn read(path: &Path) -> Result<Gaussians, FileError> {
 fn decode(bytes: Vec<u8>) -> Result<Gaussians, FileProblem> {
     let most = COUNT_IN_ANY_FILE.max(bytes.len() as u64);
     let mut archive = open_zip(bytes)?;
-    let meta = entry(&mut archive, "meta.json")?;
+    let meta = zip_entry(&mut archive, "meta.json", SOG, MAX_ENTRY)?;
     let meta: Meta = serde_json::from_slice(&meta)
         .map_err(|error| problem("meta.json", "that of a .sog file", parse_error_in_words(&error)))?;
     if let Some(version) = meta.version.filter(|version| *version != 2) {
@@ -97,7 +98,7 @@ fn decode(bytes: Vec<u8>) -> Result<Gaussians, FileProblem> {
         return Err(problem("count", format!("at most {most}, by the size of the file"), count));
     }
     let mut pixels = |name: &str| -> Result<Picture, FileProblem> {
-        let (width, height, pixels) = rgba_of_image(&entry(&mut archive, name)?)?;
+        let (width, height, pixels) = rgba_of_image(&zip_entry(&mut archive, name, SOG, MAX_ENTRY)?)?;
         Ok(Picture { width, height, pixels })
     };
     let mut of_all = |name: &str| {
@@ -150,20 +151,6 @@ fn decode(bytes: Vec<u8>) -> Result<Gaussians, FileProblem> {
     }
     check(&gaussians)?;
     Ok(gaussians)
-}
-
-fn entry(archive: &mut ZipArchive<Cursor<Vec<u8>>>, name: &str) -> Result<Vec<u8>, FileProblem> {
-    let missing =
-        || problem("entries", format!("`{}`, as in a .sog file", srflow_core::excerpt(name)), "none");
-    let entry = archive.by_name(name).map_err(|_| missing())?;
-    let (stored, len) = (entry.compressed_size(), entry.size());
-    // Deflate holds a thousand bytes in one.
-    if len > MAX_ENTRY || len > stored.saturating_mul(1032) {
-        return Err(problem("entry", "a size that its bytes can hold", format!("{len} bytes in {stored}")));
-    }
-    let mut bytes = Vec::new();
-    entry.take(len).read_to_end(&mut bytes).map_err(FileProblem::reading)?;
-    Ok(bytes)
 }
 
 struct Picture {

@@ -181,7 +181,11 @@ impl Document {
         Self::parse(path, bytes, kind)
     }
 
-    fn parse(path: &Path, mut bytes: Vec<u8>, kind: FileKind) -> Result<Self, FileError> {
+    /// As [`Document::open`], for a file whose bytes are known; `path` names it in errors.
+    ///
+    /// # Errors
+    /// As [`Document::open`].
+    pub fn parse(path: &Path, mut bytes: Vec<u8>, kind: FileKind) -> Result<Self, FileError> {
         let in_file = |problem: FileProblem| problem.in_file(path);
         let (text, binary) = if bytes.starts_with(b"glTF") {
             chunks(&bytes).ok_or_else(|| {

@@ -123,7 +123,8 @@ impl ExportJob {
         if !self.no_mesh {
             let motion = self.animate.map(|timesteps| self.mesh_motion(head, timesteps)).transpose()?;
             let model = head.avatar.model();
-            add_mesh(&mut builder, vertices, &model.triangles, model.texture.as_ref(), motion.as_ref())
+            let (vertices, triangles) = model.surface(vertices);
+            add_mesh(&mut builder, vertices, triangles, model.texture.as_ref(), motion.as_ref())
                 .map_err(in_file)?;
         }
         builder.add_cameras(cameras);
@@ -140,6 +141,7 @@ impl ExportJob {
         let vertices = |pose: &HeadPose| {
             let mut vertices = Vec::new();
             head.avatar.model().vertices(head.avatar.shaped(), pose, &mut vertices);
+            vertices.truncate(head.avatar.model().surface(&vertices).0.len());
             vertices
         };
         Ok(MeshMotion { further: poses.iter().skip(1).map(vertices).collect(), rate: f32::from(self.fps) })

@@ -94,12 +94,13 @@ impl Job for MeshJob {
         };
         let mut vertices = Vec::new();
         model.vertices(&shaped, &pose, &mut vertices);
-        write_mesh(output, &vertices, &model.triangles, model.texture.as_ref())?;
-        Ok(MeshReport { output: output.clone(), triangles: model.triangles.len(), vertices: vertices.len() })
+        let (vertices, triangles) = model.surface(&vertices);
+        write_mesh(output, vertices, triangles, model.texture.as_ref())?;
+        Ok(MeshReport { output: output.clone(), triangles: triangles.len(), vertices: vertices.len() })
     }
 }
 
-/// The mesh that [`MeshJob`] wrote; its text is empty.
+/// The mesh that [`MeshJob`] wrote.
 #[derive(Debug, Clone, Serialize)]
 pub struct MeshReport {
     pub output: PathBuf,
@@ -110,7 +111,8 @@ pub struct MeshReport {
 impl Report for MeshReport {}
 
 impl fmt::Display for MeshReport {
-    fn fmt(&self, _: &mut fmt::Formatter) -> fmt::Result {
-        Ok(())
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Self { output, triangles, vertices } = self;
+        writeln!(f, "{}: {triangles} triangles on {vertices} vertices", output.display())
     }
 }

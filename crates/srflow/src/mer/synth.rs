@@ -11,12 +11,13 @@ use crate::output::write_line;
 use crate::rendering::{Rendered, RenderingArgs};
 use crate::{Job, Report, Watch, WhenStopped};
 
-/// Render a labelled micro-expression dataset with the built-in heads
+/// Render a labelled micro-expression dataset
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "\
 Examples:
   srflow mer synth --out synth
   srflow mer synth --out hard --subjects 30 --clips 9 --intensity 0.6 --noise 2 --drift 2
+  srflow mer synth --out photos --head lam:anna.zip --head lam:ben.zip --subjects 2
   srflow mer data clips:synth
 
 Along with the frames it writes the true flow from onset to apex (also that of the head and of the expression alone), the \

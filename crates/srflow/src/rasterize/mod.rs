@@ -125,7 +125,7 @@ pub enum Convention {
     Paper,
 }
 
-/// What [`RasterizeJob`] has written. As text it is empty.
+/// What [`RasterizeJob`] has written.
 #[derive(Debug, Clone, Serialize)]
 #[serde(untagged)]
 pub enum RasterizeReport {
@@ -159,8 +159,19 @@ const FILES: [&str; 7] =
 impl Report for RasterizeReport {}
 
 impl fmt::Display for RasterizeReport {
-    fn fmt(&self, _: &mut fmt::Formatter) -> fmt::Result {
-        Ok(())
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Frame(frame) => {
+                let RenderedFrame { out, width, height, gaussians, visible, longest_flow, .. } = frame;
+                let (files, out) = (FILES.len(), out.display());
+                writeln!(
+                    f,
+                    "{out}: {files} files of {width}x{height} pixels; {visible} of {gaussians} Gaussians visible, flow at most \
+                     {longest_flow:.2} px long"
+                )
+            }
+            Self::Path(path) => path.fmt(f),
+        }
     }
 }
 

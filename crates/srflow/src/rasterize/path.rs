@@ -1,5 +1,6 @@
 //! A moving camera: a folder of frames and their flow, or a video.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -11,7 +12,7 @@ use crate::Watch;
 use crate::output::ensure_free;
 use crate::video::VideoWriter;
 
-/// Frames along a path of the camera, in a folder or a video. As text it is empty.
+/// Frames along a path of the camera, in a folder or a video.
 #[derive(Debug, Clone, Serialize)]
 pub struct RenderedPath {
     pub out: PathBuf,
@@ -22,6 +23,17 @@ pub struct RenderedPath {
     /// Length of the longest flow to the next frame in pixels; none for a video.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub longest_flow: Option<f32>,
+}
+
+impl fmt::Display for RenderedPath {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Self { out, frames, width, height, gaussians, longest_flow } = self;
+        write!(f, "{}: {frames} frames of {width}x{height} pixels, {gaussians} Gaussians", out.display())?;
+        if let Some(longest) = longest_flow {
+            write!(f, ", flow at most {longest:.2} px long")?;
+        }
+        writeln!(f)
+    }
 }
 
 /// The subfolders of a sequence, which `folder:DIR` reads as a dataset.

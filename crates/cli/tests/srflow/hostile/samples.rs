@@ -519,6 +519,20 @@ fn heads(folder: &Path) -> Vec<Sample> {
     let corners = [[0.0; 3].into(), [1.0, 0.0, 0.0].into(), [0.0, 1.0, 0.0].into()];
     srflow_head::write_mesh(&folder.join("a.glb"), &corners, &[[0, 1, 2]], None).unwrap();
     let bytes = fs::read(folder.join("a.glb")).unwrap();
+    let gaussians = Gaussians {
+        positions: corners.to_vec(),
+        scales: vec![[0.1; 3].into(); 3],
+        rotations: vec![Default::default(); 3],
+        opacities: vec![0.9; 3],
+        sh_degree: 0,
+        sh: vec![[1.0, 0.0, 0.5]; 3],
+        antialiased: false,
+    };
+    write_ply(&folder.join("offset.ply"), &gaussians).unwrap();
+    let offsets = fs::read(folder.join("offset.ply")).unwrap();
+    let lam = archive(&[("p/skin.glb".to_owned(), bytes.clone()), ("p/offset.ply".to_owned(), offsets)]);
+    let arguments = &["avatar", "mesh", "--model", "lam:FILE", "-o", "DIR/out.obj", "--force"];
+    samples.push(Sample { name: "lam", bytes: lam, file: "lam.zip", arguments });
     samples.push(Sample { name: "glb", bytes, file: "b.glb", arguments: gltf });
     samples
 }

@@ -99,21 +99,24 @@ fn median_of_13(values: [Lanes; 13]) -> Lanes {
 /// Moves the smallest value to the front and the largest to the back.
 #[inline(always)]
 fn extremes_outside<const N: usize>(mut values: [Lanes; N]) -> [Lanes; N] {
-    let mut compare = |low: usize, high: usize| {
-        let (head, tail) = values.split_at_mut(high);
-        order(&mut head[low], &mut tail[0]);
-    };
     for i in 0..N / 2 {
-        compare(i, N - 1 - i);
+        order_two(&mut values, i, N - 1 - i);
     }
     // Now the smallest is in the front half and the largest in the back half; an odd one is in both.
     for i in 1..N.div_ceil(2) {
-        compare(0, i);
+        order_two(&mut values, 0, i);
     }
     for i in N / 2..N - 1 {
-        compare(i, N - 1);
+        order_two(&mut values, i, N - 1);
     }
     values
+}
+
+// Not a closure: those are not always inlined, and then have no vector instructions.
+#[inline(always)]
+fn order_two(values: &mut [Lanes], low: usize, high: usize) {
+    let (head, tail) = values.split_at_mut(high);
+    order(&mut head[low], &mut tail[0]);
 }
 
 #[inline(always)]

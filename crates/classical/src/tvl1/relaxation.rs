@@ -311,31 +311,44 @@ multiversioned! {
         lanes: &mut [f32; LANES],
     ) {
         let ((pull, gradient), [along, down, above]) = (data, dual);
-        let pixels = MARGIN..MARGIN + width;
-        let (before, along) = (&along[MARGIN - 1..MARGIN - 1 + width], &along[pixels.clone()]);
-        let (down, above) = (&down[pixels.clone()], &above[pixels.clone()]);
-        let (pull, gradient) = (&pull[pixels.clone()], &gradient[pixels.clone()]);
-        let out = &mut values[pixels];
-        let mut sums = *lanes;
-        let move_one = |x: usize, value: &mut f32| {
-            let divergence = (along[x] - before[x]) + (down[x] - above[x]);
-            let moved = (*value + pull[x] * gradient[x]) + theta * divergence;
-            let change = moved - *value;
-            *value = moved;
-            change * change
-        };
-        let whole = width - width % LANES;
-        for start in (0..whole).step_by(LANES) {
+        let whole = MARGIN + width - width % LANES;
+        // In arrays of a known length, so that the compiler makes vectors of them.
+        for at in (MARGIN..whole).step_by(LANES) {
+            let (pull, gradient) = (block(pull, at), block(gradient, at));
+            let (before, along) = (block(along, at - 1), block(along, at));
+            let (down, above) = (block(down, at), block(above, at));
+            let mut moved = block(values, at);
             for lane in 0..LANES {
-                sums[lane] += move_one(start + lane, &mut out[start + lane]);
+                let divergence = (along[lane] - before[lane]) + (down[lane] - above[lane]);
+                let change = move_value(&mut moved[lane], pull[lane] * gradient[lane], theta * divergence);
+                lanes[lane] += change * change;
             }
+            values[at..at + LANES].copy_from_slice(&moved);
         }
-        for x in whole..width {
-            sums[x - whole] += move_one(x, &mut out[x]);
+        for x in whole..MARGIN + width {
+            let divergence = (along[x] - along[x - 1]) + (down[x] - above[x]);
+            let change = move_value(&mut values[x], pull[x] * gradient[x], theta * divergence);
+            lanes[x - whole] += change * change;
         }
-        *lanes = sums;
         values[MARGIN + width] = values[MARGIN + width - 1]; // so that the gradient at the last column is zero
     }
+}
+
+/// Moves a value by the data term and by smoothness; returns by how much.
+#[inline(always)]
+fn move_value(value: &mut f32, data: f32, smoothness: f32) -> f32 {
+    let moved = (*value + data) + smoothness;
+    let change = moved - *value;
+    *value = moved;
+    change
+}
+
+/// The numbers of a line from `at` on.
+#[inline(always)]
+fn block(line: &[f32], at: usize) -> [f32; LANES] {
+    let mut block = [0.0; LANES];
+    block.copy_from_slice(&line[at..at + LANES]);
+    block
 }
 
 multiversioned! {

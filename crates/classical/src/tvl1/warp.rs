@@ -9,6 +9,9 @@ use srflow_simd::multiversioned;
 /// Zeros around the frame: the reach of the interpolation at the outermost positions.
 const BORDER: usize = 4;
 
+/// Pixels whose weights are computed together.
+const BLOCK: usize = 16;
+
 /// Numbers per pixel: the frame, its derivatives along x and y, and one unused.
 const CHANNELS: usize = 4;
 
@@ -60,27 +63,46 @@ multiversioned! {
     /// Interpolates the warped frame and its derivatives at row `y`.
     fn warp_row(x_line: &mut [f32], y_line: &mut [f32], value: &mut [f32], warper: &Warper, y: usize, u: &[f32], v: &[f32]) {
         let row_len = (warper.width + 2 * BORDER) * CHANNELS;
-        for x in 0..value.len() {
-            let (at_x, at_y) = (x as f32 + u[x], y as f32 + v[x]);
-            let (left, top) = (at_x.floor(), at_y.floor());
-            let (across, down) = (cubic_weights(at_x - left), cubic_weights(at_y - top));
-            // Farther out everything is zero.
-            let left = left.clamp(-3.0, (warper.width + 1) as f32) as i32;
-            let top = top.clamp(-3.0, (warper.height + 1) as f32) as i32;
-            let mut sums = [0.0_f32; 4 * CHANNELS];
-            for (row, down) in (top + 3..).zip(down) {
-                let start = row as usize * row_len + (left + 3) as usize * CHANNELS;
-                let pixels = &warper.pixels[start..start + 4 * CHANNELS];
-                for i in 0..4 * CHANNELS {
-                    sums[i] += pixels[i] * (across[i / CHANNELS] * down);
-                }
+        for start in (0..value.len()).step_by(BLOCK) {
+            let len = BLOCK.min(value.len() - start);
+            let (mut at_x, mut at_y) = ([0.0; BLOCK], [0.0; BLOCK]);
+            at_x[..len].copy_from_slice(&u[start..start + len]);
+            at_y[..len].copy_from_slice(&v[start..start + len]);
+            for i in 0..BLOCK {
+                at_x[i] += (start + i) as f32;
+                at_y[i] += y as f32;
             }
-            let sum = |channel: usize| sums[channel] + sums[channel + 4] + sums[channel + 8] + sums[channel + 12];
-            value[x] = sum(0);
-            x_line[x] = sum(1);
-            y_line[x] = sum(2);
+            let (left, across) = taps(at_x, warper.width);
+            let (top, down) = taps(at_y, warper.height);
+            for i in 0..len {
+                let mut sums = [0.0_f32; 4 * CHANNELS];
+                for row in 0..4 {
+                    let first = (top[i] as usize + row) * row_len + left[i] as usize * CHANNELS;
+                    let pixels = &warper.pixels[first..first + 4 * CHANNELS];
+                    for number in 0..4 * CHANNELS {
+                        sums[number] += pixels[number] * (across[number / CHANNELS][i] * down[row][i]);
+                    }
+                }
+                value[start + i] = sums[0] + sums[4] + sums[8] + sums[12];
+                x_line[start + i] = sums[1] + sums[5] + sums[9] + sums[13];
+                y_line[start + i] = sums[2] + sums[6] + sums[10] + sums[14];
+            }
         }
     }
+}
+
+/// For each position along a side of so many pixels, where the four pixels around it begin in the padded frame, and their weights.
+#[inline(always)]
+fn taps(at: [f32; BLOCK], side: usize) -> ([i32; BLOCK], [[f32; BLOCK]; 4]) {
+    let (mut first, mut weights) = ([0; BLOCK], [[0.0; BLOCK]; 4]);
+    for i in 0..BLOCK {
+        let low = at[i].floor();
+        let [outer, near, far, last] = cubic_weights(at[i] - low);
+        (weights[0][i], weights[1][i], weights[2][i], weights[3][i]) = (outer, near, far, last);
+        // Farther out everything is zero.
+        first[i] = low.clamp(-3.0, (side + 1) as f32) as i32 + 3;
+    }
+    (first, weights)
 }
 
 /// Weights of the four pixels around a position `fraction` past the second of them: cubic convolution with `A = -0.75`, as

@@ -132,10 +132,10 @@ impl Detection {
         let place = |x: f32, y: f32| seen.place([f64::from(x), f64::from(y)]);
         let [left, top, right, bottom] = self.bounds;
         let [from, to] = [place(self.points[0], self.points[1]), place(self.points[2], self.points[3])];
-        let side = f64::from((right - left).max(bottom - top)) * seen.side;
+        let side = (f64::from(right - left) * seen.sides[0]).max(f64::from(bottom - top) * seen.sides[1]);
         Region {
             centre: place((left + right) / 2.0, (top + bottom) / 2.0),
-            side: MARGIN * side,
+            sides: [MARGIN * side; 2],
             rotation: libm::atan2(to[1] - from[1], to[0] - from[0]),
         }
     }
@@ -175,11 +175,11 @@ mod tests {
 
     #[test]
     fn the_region_is_upright_by_the_eyes() {
-        let seen = Region { centre: [100.0, 50.0], side: 200.0, rotation: 0.0 };
+        let seen = Region { centre: [100.0, 50.0], sides: [200.0; 2], rotation: 0.0 };
         let mut face = detection(1.0, [0.4, 0.45, 0.6, 0.55]);
         face.points[..4].copy_from_slice(&[0.45, 0.45, 0.55, 0.55]);
         let region = face.region(&seen);
         assert!((region.rotation - std::f64::consts::FRAC_PI_4).abs() < 1e-6);
-        assert!((region.side - 60.0).abs() < 1e-4 && (region.centre[0] - 100.0).abs() < 1e-4);
+        assert!((region.sides[0] - 60.0).abs() < 1e-4 && (region.centre[0] - 100.0).abs() < 1e-4);
     }
 }

@@ -1,21 +1,20 @@
 use std::path::Path;
 
 use srflow_core::Image;
-use srflow_files::{FileKind, open_zip, read_file};
 
+use crate::model::Model;
 use crate::points::FacePoints;
 use crate::tflite::Network;
 use crate::{FaceBox, FaceError, ModelError, detector, mesh};
 
-/// Where the networks come from, for messages and help.
-pub const MODEL_SOURCES: &str = "the networks of MediaPipe, which are in its package up to version 0.10.21: `pip download \
-    --no-deps --only-binary=:all: --python-version 3.11 --platform manylinux_2_28_x86_64 mediapipe==0.10.21` gets a file \
-    mediapipe-0.10.21-....whl, which works on every system";
-
-const DETECTOR: &str = "face_detection_short_range.tflite";
-const MESH: &str = "face_landmark.tflite";
-/// No network of MediaPipe's for faces is larger, in bytes.
-const LARGEST_MODEL: u64 = 64 << 20;
+const DETECTOR: Model = Model {
+    name: "face_detection_short_range.tflite",
+    folder: "face_detection",
+    input: detector::INPUT,
+    check: detector::check,
+};
+const MESH: Model =
+    Model { name: "face_landmark.tflite", folder: "face_landmark", input: mesh::INPUT, check: mesh::check };
 
 /// Finds faces and their points.
 #[derive(Debug, Clone)]
@@ -57,25 +56,7 @@ impl FaceFinder {
     /// # Errors
     /// When a file is missing, damaged, or another network.
     pub fn read(path: &Path) -> Result<Self, FaceError> {
-        let load =
-            |name: &str, folder: &str, check: fn(&Network) -> Result<(), String>, input: [usize; 2]| {
-                let (bytes, found) = model_file(path, name, folder)?;
-                let network = Network::parse(&bytes).and_then(|network| {
-                    if network.input() != input {
-                        let [height, width] = network.input();
-                        return Err(format!(
-                            "expected a network for {}x{} pixels, found {width}x{height}",
-                            input[1], input[0]
-                        ));
-                    }
-                    check(&network).map(|()| network)
-                });
-                network.map_err(|problem| FaceError::from(ModelError { path: found, problem }))
-            };
-        Ok(Self {
-            detector: load(DETECTOR, "face_detection", detector::check, detector::INPUT)?,
-            mesh: load(MESH, "face_landmark", mesh::check, mesh::INPUT)?,
-        })
+        Ok(Self { detector: DETECTOR.read(path)?, mesh: MESH.read(path)? })
     }
 
     /// All faces of a frame, from left to right.
@@ -86,7 +67,7 @@ impl FaceFinder {
         if frame.pixels().is_empty() {
             return Ok(Vec::new());
         }
-        let failed = |problem: String| ModelError { path: DETECTOR.into(), problem };
+        let failed = |problem: String| ModelError { path: DETECTOR.name.into(), problem };
         let mut faces: Vec<Face> = Vec::new();
         for (region, score) in detector::faces(&self.detector, frame).map_err(failed)? {
             let Some(mesh) = mesh::points(&self.mesh, frame, &region).map_err(failed)? else { continue };
@@ -115,38 +96,4 @@ impl FaceFinder {
             (found, Some(index)) => Err(FaceError::NoSuchFace { index, found }),
         }
     }
-}
-
-/// The bytes of a network, and the file that they are from.
-fn model_file(path: &Path, name: &str, folder: &str) -> Result<(Vec<u8>, std::path::PathBuf), FaceError> {
-    let missing = |found: String| ModelError {
-        path: path.to_owned(),
-        problem: format!("expected {MODEL_SOURCES}, or a folder with its files; found {found}"),
-    };
-    if path.is_dir() {
-        let places = [path.join(name), path.join("modules").join(folder).join(name)];
-        let Some(file) = places.into_iter().find(|file| file.exists()) else {
-            return Err(missing(format!("no {name}")).into());
-        };
-        return Ok((read_file(&file, FileKind::Network)?, file));
-    }
-    let bytes = read_file(path, FileKind::Network)?;
-    let mut zip =
-        open_zip(bytes).map_err(|problem| missing(format!("a file that is no whole .whl ({problem})")))?;
-    let names = zip.file_names().filter_map(Result::ok);
-    let mut named =
-        names.filter(|entry| entry.rsplit('/').next() == Some(name)).map(|entry| entry.into_owned());
-    let Some(entry) = named.next() else {
-        return Err(missing(format!("no {name} inside")).into());
-    };
-    drop(named);
-    let damaged = |error: &dyn std::fmt::Display| ModelError {
-        path: path.to_owned(),
-        problem: format!("{entry}: {error}; get the file again"),
-    };
-    let file = zip.by_name(&entry).map_err(|error| damaged(&error))?;
-    let mut bytes = Vec::new();
-    let read = std::io::Read::read_to_end(&mut std::io::Read::take(file, LARGEST_MODEL), &mut bytes);
-    read.map_err(|error| damaged(&error))?;
-    Ok((bytes, path.join(entry)))
 }

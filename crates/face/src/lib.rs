@@ -3,7 +3,8 @@
 //!
 //! MediaPipe's short-range detector (BlazeFace, Bazarevsky et al. 2019) finds faces and six of their points; its face mesh (Kartynnik
 //! et al. 2019) finds 468 points in each. Both come as TFLite files in the package `mediapipe` 0.10.5 to 0.10.21 (Apache-2.0), and are
-//! computed here as MediaPipe's graphs `face_detection_short_range` and `face_landmark_front_cpu` do for single images.
+//! computed here as MediaPipe's graphs `face_detection_short_range` and `face_landmark_front_cpu` do for single images. So is its selfie
+//! segmentation, graph `selfie_segmentation_cpu`, which tells persons from their background.
 
 mod average;
 mod crop;
@@ -11,6 +12,8 @@ mod detector;
 mod error;
 mod finder;
 mod mesh;
+mod model;
+mod person;
 mod points;
 mod region;
 mod table;
@@ -19,6 +22,8 @@ mod tflite;
 pub use average::AVERAGE_FACE;
 pub use crop::{FaceBox, FrameCrop};
 pub use error::{FaceError, ModelError};
-pub use finder::{Face, FaceFinder, MODEL_SOURCES};
+pub use finder::{Face, FaceFinder};
+pub use model::MODEL_SOURCES;
+pub use person::PersonMask;
 pub use points::FacePoints;
 pub use table::{LandmarkRow, LandmarkTable, write_landmarks};

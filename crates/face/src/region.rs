@@ -2,12 +2,13 @@
 
 use srflow_core::Image;
 
-/// A square of a frame, rotated; in pixels. As in MediaPipe, pixel 0 is at coordinate 0, and sizes are those of the area between the
+/// A rectangle of a frame, rotated; in pixels. As in MediaPipe, pixel 0 is at coordinate 0, and sizes are those of the area between the
 /// outer coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Region {
     pub(crate) centre: [f64; 2],
-    pub(crate) side: f64,
+    /// Width and height before the rotation.
+    pub(crate) sides: [f64; 2],
     /// Radians, from right to down.
     pub(crate) rotation: f64,
 }
@@ -21,16 +22,23 @@ pub(crate) enum Beyond {
 }
 
 impl Region {
-    /// The smallest that holds the whole frame.
+    /// The smallest square that holds the whole frame.
     pub(crate) fn of_frame(frame: &Image) -> Self {
-        let (width, height) = (frame.width() as f64, frame.height() as f64);
-        Self { centre: [width / 2.0, height / 2.0], side: width.max(height), rotation: 0.0 }
+        let whole = Self::stretched(frame);
+        let [width, height] = whole.sides;
+        Self { sides: [width.max(height); 2], ..whole }
+    }
+
+    /// The frame, whatever its aspect ratio is.
+    pub(crate) fn stretched(frame: &Image) -> Self {
+        let sides = [frame.width() as f64, frame.height() as f64];
+        Self { centre: sides.map(|side| side / 2.0), sides, rotation: 0.0 }
     }
 
     /// The place in the frame of a point of the region, whose sides go from 0 to 1.
     pub(crate) fn place(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = (libm::sin(self.rotation), libm::cos(self.rotation));
-        let (x, y) = ((x - 0.5) * self.side, (y - 0.5) * self.side);
+        let (x, y) = ((x - 0.5) * self.sides[0], (y - 0.5) * self.sides[1]);
         [self.centre[0] + x * cos - y * sin, self.centre[1] + x * sin + y * cos]
     }
 
@@ -88,7 +96,7 @@ mod tests {
 
     #[test]
     fn a_region_of_whole_pixels_is_the_frame() {
-        let region = Region { centre: [20.0, 15.0], side: 16.0, rotation: 0.0 };
+        let region = Region { centre: [20.0, 15.0], sides: [16.0; 2], rotation: 0.0 };
         let planes = region.planes(&frame(), [16, 16], [0.0, 255.0], Beyond::Black);
         for (y, x) in (0..16).flat_map(|y| (0..16).map(move |x| (y, x))) {
             assert_eq!(planes[y * 16 + x], 5.0 * (x + 12) as f32);
@@ -97,8 +105,17 @@ mod tests {
     }
 
     #[test]
+    fn a_stretched_frame_keeps_no_aspect_ratio() {
+        let planes = Region::stretched(&frame()).planes(&frame(), [15, 10], [0.0, 255.0], Beyond::Black);
+        for (y, x) in (0..15).flat_map(|y| (0..10).map(move |x| (y, x))) {
+            assert_eq!(planes[y * 10 + x], 5.0 * (4 * x) as f32);
+            assert_eq!(planes[150 + y * 10 + x], 5.0 * (2 * y) as f32);
+        }
+    }
+
+    #[test]
     fn a_quarter_turn_exchanges_the_axes() {
-        let region = Region { centre: [20.0, 15.0], side: 16.0, rotation: std::f64::consts::FRAC_PI_2 };
+        let region = Region { centre: [20.0, 15.0], sides: [16.0; 2], rotation: std::f64::consts::FRAC_PI_2 };
         let planes = region.planes(&frame(), [16, 16], [-1.0, 1.0], Beyond::Black);
         let level = |plane: usize, x: usize, y: usize| (planes[plane * 256 + y * 16 + x] + 1.0) * 127.5;
         // Right in the region is down in the frame, and down is left.
@@ -107,7 +124,7 @@ mod tests {
 
     #[test]
     fn beyond_the_border_there_is_black_or_the_nearest_pixel() {
-        let region = Region { centre: [0.0, 0.0], side: 8.0, rotation: 0.0 };
+        let region = Region { centre: [0.0, 0.0], sides: [8.0; 2], rotation: 0.0 };
         let blue = |beyond| region.planes(&frame(), [8, 8], [0.0, 255.0], beyond)[128];
         assert_eq!([blue(Beyond::Black), blue(Beyond::Nearest)], [0.0, 7.0]);
     }

@@ -1,19 +1,21 @@
-//! Networks in TFLite files, as far as MediaPipe's use the format: convolutions, a few steps between them, weights in half precision.
+//! Networks in TFLite files, as far as MediaPipe's use the format: convolutions, steps between them, weights in half precision.
 //!
 //! Fields and numbers are those of `tensorflow/lite/schema/schema.fbs`, version 3.
 
+mod compute;
 mod flatbuffer;
 mod operation;
 #[cfg(test)]
 mod tests;
 
+use compute::Value;
 use flatbuffer::{Broken, Bytes, Table};
 use half::slice::HalfFloatSliceExt as _;
-use operation::{Operation, Value};
+use operation::{Code, Operation, Stored};
 
-/// More numbers are in no layer of a network for faces.
+/// More numbers are in no layer of a network for faces or persons.
 const MAX_NUMBERS: usize = 1 << 24;
-/// More operations are in no network for faces.
+/// More operations are in no network for faces or persons.
 const MAX_OPERATIONS: usize = 4096;
 
 /// A network with one input, a picture.
@@ -122,11 +124,11 @@ fn unknown(problem: impl Into<String>) -> Problem {
 
 fn read(bytes: &[u8]) -> Result<Network, Problem> {
     let model = Bytes(bytes).root()?;
-    let codes: Vec<i32> = model
+    let codes: Vec<Code> = model
         .tables(1)?
         .iter()
         // Operators up to 126 stand in the first field of old files.
-        .map(|code| Ok(code.int(3, 0)?.max(i32::from(code.byte(0)?))))
+        .map(|code| Ok(Code { number: code.int(3, 0)?.max(i32::from(code.byte(0)?)), name: code.bytes(1)? }))
         .collect::<Result<_, Broken>>()?;
     let buffers = model.tables(4)?;
     let graphs = model.tables(2)?;
@@ -162,20 +164,22 @@ fn read(bytes: &[u8]) -> Result<Network, Problem> {
         tensors.iter().map(Described::floats).collect::<Result<_, _>>()?;
     let mut operations = Vec::new();
     for operator in &operators {
-        let code = codes.get(operator.int(0, 0)? as usize).copied().unwrap_or(-1);
+        let code = usize::try_from(operator.int(0, 0)?).ok().and_then(|index| codes.get(index)).copied();
+        let code = code.ok_or_else(|| unknown("expected operations that the file lists"))?;
         let inputs: Vec<usize> = operator.ints(1)?.into_iter().map(slot).collect::<Result<_, _>>()?;
         let outputs = operator.ints(2)?;
         let [output] = outputs.as_slice() else {
             return Err(unknown(format!("expected operations of one output, found {}", outputs.len())));
         };
         let output = slot(*output)?;
-        if code == operation::DEQUANTIZE {
+        if code.number == operation::DEQUANTIZE {
             let widened = inputs.first().and_then(|input| constants[*input].take());
             constants[output] = Some(widened.ok_or_else(|| unknown("expected weights as 16-bit numbers"))?);
             continue;
         }
         let parameters = Parameters { tensors: &tensors, constants: &constants, inputs: &inputs };
-        let operation = operation::read(code, operator.table(4)?, &parameters)?;
+        let (options, custom_options) = (operator.table(4)?, operator.bytes(5)?);
+        let operation = Stored { code, options, custom_options, parameters }.read()?;
         let variables = inputs.into_iter().filter(|input| constants[*input].is_none());
         let variables = variables.filter(|input| tensors[*input].kind == FLOAT32).collect();
         operations.push(Step { operation, inputs: variables, output });

@@ -1,91 +1,75 @@
-//! The operations of MediaPipe's networks for faces.
+//! The operations of MediaPipe's networks for faces and persons, as files have them.
 
-use srflow_ops::conv2d::{Epilogue, conv2d};
-use srflow_ops::convolution::Conv2dShape;
-use srflow_ops::depthwise::depthwise;
+use srflow_core::excerpt;
+use srflow_ops::resize::Grids;
 
 use super::flatbuffer::Table;
-use super::{MAX_NUMBERS, Parameters, Problem, unknown};
+use super::{Parameters, Problem, unknown};
 
 /// Widens weights.
 pub(super) const DEQUANTIZE: i32 = 6;
-
-/// What stands between two operations.
-#[derive(Debug, Clone)]
-pub(super) enum Value {
-    /// Planes of channels, rows, columns.
-    Map { shape: [usize; 3], numbers: Vec<f32> },
-    /// Rows of as many numbers, where TFLite's order matters.
-    Rows { width: usize, numbers: Vec<f32> },
-}
-
-impl Value {
-    pub(super) fn map(shape: [usize; 3], numbers: Vec<f32>) -> Result<Self, String> {
-        let expected: usize = shape.iter().product();
-        if numbers.len() != expected {
-            return Err(format!("expected {expected} numbers, found {}", numbers.len()));
-        }
-        Ok(Self::Map { shape, numbers })
-    }
-
-    pub(super) fn len(&self) -> usize {
-        match self {
-            Self::Map { numbers, .. } | Self::Rows { numbers, .. } => numbers.len(),
-        }
-    }
-
-    /// In TFLite's order: rows, columns, channels.
-    pub(super) fn rows(&self) -> Vec<f32> {
-        match self {
-            Self::Rows { numbers, .. } => numbers.clone(),
-            Self::Map { shape: [channels, height, width], numbers } => {
-                let pixels = height * width;
-                let at = |index: usize| numbers[(index % channels) * pixels + index / channels];
-                (0..numbers.len()).map(at).collect()
-            }
-        }
-    }
-}
+/// An operation that is not TensorFlow's, known by its name.
+const CUSTOM: i32 = 32;
+/// The edges of convolutions and maxima are added in memory, so that windows are bounded; pixels, also of strides.
+const LARGEST_WINDOW: usize = 64;
+/// An average may be that of a whole map; pixels, also of strides.
+const LARGEST_AVERAGE: usize = 4096;
 
 /// How the edges of a map are treated.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Edges {
-    /// Zeros are added until the output has a pixel for each stride; of an odd number the last one follows.
+    /// Zeros are added until the output has a pixel for each stride; of an odd number the last one follows. Of a transposed
+    /// convolution as much is cut off.
     Same,
     /// The kernel stays inside.
     Valid,
 }
 
-/// Of a convolution or a maximum.
+/// Of a convolution, a maximum or an average.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Window {
-    edges: Edges,
+    pub(super) edges: Edges,
     /// Height and width.
-    kernel: [usize; 2],
+    pub(super) kernel: [usize; 2],
     /// Down and across.
-    stride: [usize; 2],
+    pub(super) stride: [usize; 2],
+}
+
+/// A convolution or its transpose.
+#[derive(Debug, Clone)]
+pub(super) struct Convolution {
+    pub(super) window: Window,
+    pub(super) outputs: usize,
+    pub(super) weights: Vec<f32>,
+    /// A number for each output.
+    pub(super) bias: Vec<f32>,
 }
 
 #[derive(Debug, Clone)]
 pub(super) enum Operation {
     /// Weights by output, input, row, column.
-    Convolution {
-        window: Window,
-        outputs: usize,
-        weights: Vec<f32>,
-        bias: Vec<f32>,
-    },
+    Convolution(Convolution),
+    /// Weights by input, output, row, column.
+    Transposed(Convolution),
     /// Weights by channel, row, column.
-    Depthwise {
-        window: Window,
-        weights: Vec<f32>,
-        bias: Vec<f32>,
-    },
+    Depthwise(Convolution),
     Maximum(Window),
+    /// Of the pixels inside of the map.
+    Average(Window),
     Add,
+    Multiply,
     Relu,
     /// A slope below zero for each channel.
     PRelu(Vec<f32>),
+    /// `x * min(max(x + 3, 0), 6) / 6`.
+    HardSwish,
+    /// `1 / (1 + exp(-x))`.
+    Logistic,
+    /// To height and width, by linear interpolation.
+    Resize {
+        size: [usize; 2],
+        grids: Grids,
+    },
     /// Zeros before and after channels, rows, columns.
     Pad([[usize; 2]; 3]),
     /// To rows of as many numbers.
@@ -95,293 +79,239 @@ pub(super) enum Operation {
     Concatenate,
 }
 
-/// Reads the operation of this code, see `BuiltinOperator` in the schema.
-pub(super) fn read(code: i32, options: Option<Table>, parameters: &Parameters) -> Result<Operation, Problem> {
+/// Which operation it is.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Code<'a> {
+    /// See `BuiltinOperator` in the schema.
+    pub(super) number: i32,
+    /// Of one that is not TensorFlow's.
+    pub(super) name: &'a [u8],
+}
+
+/// An operation of a file.
+pub(super) struct Stored<'a> {
+    pub(super) code: Code<'a>,
+    pub(super) options: Option<Table<'a>>,
+    /// Of an operation that is not TensorFlow's.
+    pub(super) custom_options: &'a [u8],
+    pub(super) parameters: Parameters<'a>,
+}
+
+impl Stored<'_> {
+    pub(super) fn read(&self) -> Result<Operation, Problem> {
+        Ok(match self.code.number {
+            0 => {
+                self.plain(0)?;
+                Operation::Add
+            }
+            1 => {
+                self.plain(5)?;
+                Operation::Average(self.pooling(LARGEST_AVERAGE)?)
+            }
+            2 => {
+                self.plain(1)?;
+                match self.int(0, 0)? {
+                    1 => Operation::Concatenate,
+                    axis => {
+                        return Err(unknown(format!(
+                            "expected rows that follow each other, found axis {axis}"
+                        )));
+                    }
+                }
+            }
+            3 => Operation::Convolution(self.convolution()?),
+            4 => Operation::Depthwise(self.depthwise()?),
+            14 => Operation::Logistic,
+            17 => {
+                self.plain(5)?;
+                Operation::Maximum(self.pooling(LARGEST_WINDOW)?)
+            }
+            18 => {
+                self.plain(0)?;
+                Operation::Multiply
+            }
+            19 => Operation::Relu,
+            22 => self.reshape()?,
+            23 => self.resize()?,
+            CUSTOM if self.code.name == b"Convolution2DTransposeBias" => {
+                Operation::Transposed(self.transposed()?)
+            }
+            34 => self.pad()?,
+            54 => Operation::PRelu(self.parameters.constant(1)?.1.to_vec()),
+            117 => Operation::HardSwish,
+            other => {
+                let found = match other {
+                    CUSTOM => format!("operation {}", excerpt(&String::from_utf8_lossy(self.code.name))),
+                    _ => format!("operation {other} of TFLite"),
+                };
+                return Err(unknown(format!(
+                    "{found}: expected those of MediaPipe's short-range detector, face mesh without attention, and \
+                     selfie segmentation"
+                )));
+            }
+        })
+    }
+
     // All fields of absent options have their defaults.
-    let int = |number, default| options.map_or(Ok(default), |options| options.int(number, default));
-    let byte = |number| options.map_or(Ok(0), |options| options.byte(number));
-    let size = |value: i32| {
-        usize::try_from(value)
-            .ok()
-            .filter(|size| (1..=64).contains(size))
-            .ok_or_else(|| unknown(format!("expected windows and strides of 1 to 64 pixels, found {value}")))
-    };
-    let window = |kernel: [usize; 2]| -> Result<Window, Problem> {
-        let edges = if byte(0)? == 0 { Edges::Same } else { Edges::Valid };
-        Ok(Window { edges, kernel, stride: [size(int(2, 0)?)?, size(int(1, 0)?)?] })
-    };
-    let plain = |activation: u8| match activation {
-        0 => Ok(()),
-        other => Err(unknown(format!("expected no activation inside of an operation, found number {other}"))),
-    };
-    let dense = |down: usize| match (int(down, 1)?, int(down + 1, 1)?) {
-        (1, 1) => Ok(()),
-        _ => Err(unknown("expected convolutions without dilation")),
-    };
-    let bias = |channels: usize| -> Result<Vec<f32>, Problem> {
-        match parameters.constant(2)?.1 {
+
+    fn int(&self, field: usize, default: i32) -> Result<i32, Problem> {
+        Ok(self.options.map_or(Ok(default), |options| options.int(field, default))?)
+    }
+
+    fn byte(&self, field: usize) -> Result<u8, Problem> {
+        Ok(self.options.map_or(Ok(0), |options| options.byte(field))?)
+    }
+
+    fn plain(&self, activation: usize) -> Result<(), Problem> {
+        match self.byte(activation)? {
+            0 => Ok(()),
+            other => {
+                Err(unknown(format!("expected no activation inside of an operation, found number {other}")))
+            }
+        }
+    }
+
+    fn dense(&self, down: usize) -> Result<(), Problem> {
+        match (self.int(down, 1)?, self.int(down + 1, 1)?) {
+            (1, 1) => Ok(()),
+            _ => Err(unknown("expected convolutions without dilation")),
+        }
+    }
+
+    /// Of convolutions and of what pools: their first fields are the same.
+    fn window(&self, kernel: [usize; 2], largest: usize) -> Result<Window, Problem> {
+        let edges = if self.byte(0)? == 0 { Edges::Same } else { Edges::Valid };
+        let stride = [extent(self.int(2, 0)?, largest)?, extent(self.int(1, 0)?, largest)?];
+        Ok(Window { edges, kernel, stride })
+    }
+
+    fn pooling(&self, largest: usize) -> Result<Window, Problem> {
+        let kernel = [extent(self.int(4, 0)?, largest)?, extent(self.int(3, 0)?, largest)?];
+        self.window(kernel, largest)
+    }
+
+    fn bias(&self, channels: usize) -> Result<Vec<f32>, Problem> {
+        match self.parameters.constant(2)?.1 {
             bias if bias.len() == channels => Ok(bias.to_vec()),
             bias => {
                 Err(unknown(format!("expected a bias for each of {channels} channels, found {}", bias.len())))
             }
         }
-    };
-    Ok(match code {
-        0 => {
-            plain(byte(0)?)?;
-            Operation::Add
-        }
-        2 => {
-            plain(byte(1)?)?;
-            if int(0, 0)? != 1 {
+    }
+
+    fn convolution(&self) -> Result<Convolution, Problem> {
+        self.plain(3)?;
+        self.dense(4)?;
+        let ([outputs, height, width, inputs], weights) = self.weights()?;
+        let taps = height * width;
+        let at = |index: usize| {
+            let (output, input, tap) = (index / (inputs * taps), index / taps % inputs, index % taps);
+            weights[(output * taps + tap) * inputs + input]
+        };
+        Ok(Convolution {
+            window: self.window([height, width], LARGEST_WINDOW)?,
+            outputs,
+            weights: (0..weights.len()).map(at).collect(),
+            bias: self.bias(outputs)?,
+        })
+    }
+
+    fn depthwise(&self) -> Result<Convolution, Problem> {
+        self.plain(4)?;
+        self.dense(5)?;
+        let ([1, height, width, channels], weights) = self.weights()? else {
+            return Err(unknown("expected as many outputs of a depthwise convolution as inputs"));
+        };
+        let taps = height * width;
+        let at = |index: usize| weights[index % taps * channels + index / taps];
+        Ok(Convolution {
+            window: self.window([height, width], LARGEST_WINDOW)?,
+            outputs: channels,
+            weights: (0..weights.len()).map(at).collect(),
+            bias: self.bias(channels)?,
+        })
+    }
+
+    /// `mediapipe/util/tflite/operations/transpose_conv_bias.cc`; its options are the `TfLiteTransposeConvParams` of
+    /// TFLite's `builtin_op_data.h` as they lie in memory.
+    fn transposed(&self) -> Result<Convolution, Problem> {
+        let fields = self.custom_options.as_chunks().0.iter().map(|bytes| i32::from_le_bytes(*bytes));
+        let (edges, across, down) = match fields.take(3).collect::<Vec<_>>()[..] {
+            [1, across, down] => (Edges::Same, across, down),
+            [2, across, down] => (Edges::Valid, across, down),
+            ref found => {
                 return Err(unknown(format!(
-                    "expected rows that follow each other, found axis {}",
-                    int(0, 0)?
+                    "expected padding and strides of a convolution, found {found:?}"
                 )));
             }
-            Operation::Concatenate
+        };
+        let ([outputs, height, width, inputs], weights) = self.weights()?;
+        let taps = height * width;
+        let at = |index: usize| {
+            let (input, output, tap) = (index / (outputs * taps), index / taps % outputs, index % taps);
+            weights[(output * taps + tap) * inputs + input]
+        };
+        Ok(Convolution {
+            window: Window {
+                edges,
+                kernel: [height, width],
+                stride: [extent(down, LARGEST_WINDOW)?, extent(across, LARGEST_WINDOW)?],
+            },
+            outputs,
+            weights: (0..weights.len()).map(at).collect(),
+            bias: self.bias(outputs)?,
+        })
+    }
+
+    /// By output, row, column, input.
+    fn weights(&self) -> Result<([usize; 4], &[f32]), Problem> {
+        let (shape, weights) = self.parameters.constant(1)?;
+        match shape.try_into() {
+            Ok(shape) => Ok((shape, weights)),
+            Err(_) => Err(unknown(format!("expected weights of four axes, found {shape:?}"))),
         }
-        3 => {
-            plain(byte(3)?)?;
-            dense(4)?;
-            let (shape, weights) = parameters.constant(1)?;
-            let &[outputs, height, width, inputs] = shape else {
-                return Err(unknown(format!("expected weights of four axes, found {shape:?}")));
-            };
-            let taps = height * width;
-            let at = |index: usize| {
-                let (output, input, tap) = (index / (inputs * taps), index / taps % inputs, index % taps);
-                weights[(output * taps + tap) * inputs + input]
-            };
-            Operation::Convolution {
-                window: window([height, width])?,
-                outputs,
-                weights: (0..weights.len()).map(at).collect(),
-                bias: bias(outputs)?,
-            }
+    }
+
+    fn reshape(&self) -> Result<Operation, Problem> {
+        // The shape is an input in new files, an option in old ones.
+        let output = match (self.parameters.inputs.len(), self.options) {
+            (1, Some(options)) => options.ints(0)?,
+            _ => self.parameters.whole(1)?,
+        };
+        match output.last().map(|width| usize::try_from(*width)) {
+            Some(Ok(width @ 1..)) => Ok(Operation::Reshape { width }),
+            _ => Err(unknown(format!("expected the shape of rows, found {output:?}"))),
         }
-        4 => {
-            plain(byte(4)?)?;
-            dense(5)?;
-            let (shape, weights) = parameters.constant(1)?;
-            let &[1, height, width, channels] = shape else {
-                return Err(unknown(format!("expected 1 x height x width x channels, found {shape:?}")));
-            };
-            let taps = height * width;
-            let at = |index: usize| weights[index % taps * channels + index / taps];
-            Operation::Depthwise {
-                window: window([height, width])?,
-                weights: (0..weights.len()).map(at).collect(),
-                bias: bias(channels)?,
-            }
+    }
+
+    fn resize(&self) -> Result<Operation, Problem> {
+        let grids = match (self.byte(2)? != 0, self.byte(3)? != 0) {
+            (true, false) => Grids::CornersOnCorners,
+            (false, true) => Grids::EdgesOnEdges,
+            (false, false) => Grids::FirstOnFirst,
+            (true, true) => return Err(unknown("expected corners or edges that are aligned, found both")),
+        };
+        let size = self.parameters.whole(1)?;
+        let sizes = size.iter().map(|size| usize::try_from(*size).ok());
+        match sizes.collect::<Option<Vec<_>>>().as_deref() {
+            Some(&[height, width]) => Ok(Operation::Resize { size: [height, width], grids }),
+            _ => Err(unknown(format!("expected a height and a width, found {size:?}"))),
         }
-        17 => {
-            plain(byte(5)?)?;
-            Operation::Maximum(window([size(int(4, 0)?)?, size(int(3, 0)?)?])?)
-        }
-        19 => Operation::Relu,
-        22 => {
-            // The shape is an input in new files, an option in old ones.
-            let output = match (parameters.inputs.len(), options) {
-                (1, Some(options)) => options.ints(0)?,
-                _ => parameters.whole(1)?,
-            };
-            match output.last().map(|width| usize::try_from(*width)) {
-                Some(Ok(width @ 1..)) => Operation::Reshape { width },
-                _ => return Err(unknown(format!("expected the shape of rows, found {output:?}"))),
-            }
-        }
-        34 => {
-            let zeros = parameters.whole(1)?;
-            let zeros: Option<Vec<usize>> = zeros
-                .iter()
-                .map(|count| usize::try_from(*count).ok().filter(|count| *count < 4096))
-                .collect();
-            let Some(&[0, 0, above, below, left, right, before, after]) = zeros.as_deref() else {
-                return Err(unknown("expected zeros around rows, columns and channels"));
-            };
-            Operation::Pad([[before, after], [above, below], [left, right]])
-        }
-        54 => Operation::PRelu(parameters.constant(1)?.1.to_vec()),
-        other => {
-            return Err(unknown(format!(
-                "operation {other} of TFLite: expected those of MediaPipe's short-range detector and face mesh \
-                 without attention"
-            )));
-        }
+    }
+
+    fn pad(&self) -> Result<Operation, Problem> {
+        let zeros = self.parameters.whole(1)?;
+        let zeros: Option<Vec<usize>> =
+            zeros.iter().map(|count| usize::try_from(*count).ok().filter(|count| *count < 4096)).collect();
+        let Some(&[0, 0, above, below, left, right, before, after]) = zeros.as_deref() else {
+            return Err(unknown("expected zeros around rows, columns and channels"));
+        };
+        Ok(Operation::Pad([[before, after], [above, below], [left, right]]))
+    }
+}
+
+fn extent(value: i32, largest: usize) -> Result<usize, Problem> {
+    usize::try_from(value).ok().filter(|size| (1..=largest).contains(size)).ok_or_else(|| {
+        unknown(format!("expected windows and strides of 1 to {largest} pixels, found {value}"))
     })
-}
-
-impl Operation {
-    pub(super) fn run(&self, inputs: &[&Value]) -> Result<Value, String> {
-        match (self, inputs) {
-            (Self::Convolution { window, outputs, weights, bias }, [Value::Map { shape, numbers }]) => {
-                let channels = shape[0];
-                if weights.len() != outputs * channels * window.kernel[0] * window.kernel[1] {
-                    return Err(format!("expected weights for {channels} channels"));
-                }
-                let (shape, numbers) = window.padded(*shape, numbers, 0.0)?;
-                let shape = Conv2dShape {
-                    batch: 1,
-                    in_channels: channels,
-                    out_channels: *outputs,
-                    groups: 1,
-                    input: [shape[1], shape[2]],
-                    kernel: window.kernel,
-                    stride: window.stride,
-                    padding: [0, 0],
-                };
-                let [height, width] = checked([*outputs, shape.output()[0], shape.output()[1]])?;
-                let epilogue = Epilogue { bias: Some(bias), ..Epilogue::default() };
-                Value::map([*outputs, height, width], conv2d(&numbers, weights, &epilogue, &shape))
-            }
-            (Self::Depthwise { window, weights, bias }, [Value::Map { shape, numbers }]) => {
-                let channels = shape[0];
-                if weights.len() != channels * window.kernel[0] * window.kernel[1] || bias.len() != channels {
-                    return Err(format!("expected weights for {channels} channels"));
-                }
-                let (padded, numbers) = window.padded(*shape, numbers, 0.0)?;
-                let shape = Conv2dShape {
-                    batch: 1,
-                    in_channels: channels,
-                    out_channels: channels,
-                    groups: channels,
-                    input: [padded[1], padded[2]],
-                    kernel: window.kernel,
-                    stride: [1, 1],
-                    padding: [0, 0],
-                };
-                checked([channels, shape.output()[0], shape.output()[1]])?;
-                let epilogue = Epilogue { bias: Some(bias), ..Epilogue::default() };
-                let every = depthwise(&numbers, weights, &epilogue, &shape);
-                let [height, width] = shape.output();
-                Ok(strided([channels, height, width], &every, window.stride))
-            }
-            (Self::Maximum(window), [Value::Map { shape, numbers }]) => {
-                let (padded, numbers) = window.padded(*shape, numbers, f32::NEG_INFINITY)?;
-                Ok(maxima(padded, &numbers, *window))
-            }
-            (Self::Add, [Value::Map { shape, numbers }, Value::Map { shape: other, numbers: added }]) => {
-                if shape != other {
-                    return Err(format!("expected maps of one shape, found {shape:?} and {other:?}"));
-                }
-                let sums = numbers.iter().zip(added).map(|(a, b)| a + b);
-                Value::map(*shape, sums.collect())
-            }
-            (Self::Relu, [Value::Map { shape, numbers }]) => {
-                Value::map(*shape, numbers.iter().map(|x| x.max(0.0)).collect())
-            }
-            (Self::PRelu(slopes), [Value::Map { shape, numbers }]) => {
-                if slopes.len() != shape[0] {
-                    return Err(format!(
-                        "expected a slope for each of {} channels, found {}",
-                        shape[0],
-                        slopes.len()
-                    ));
-                }
-                let planes = numbers.chunks((shape[1] * shape[2]).max(1)).zip(slopes);
-                let sloped = |x: &f32, slope: f32| if *x < 0.0 { x * slope } else { *x };
-                let all = planes.flat_map(|(plane, slope)| plane.iter().map(move |x| sloped(x, *slope)));
-                Value::map(*shape, all.collect())
-            }
-            (Self::Pad(zeros), [Value::Map { shape, numbers }]) => {
-                let (shape, numbers) = surrounded(*shape, numbers, *zeros, 0.0)?;
-                Value::map(shape, numbers)
-            }
-            (Self::Reshape { width }, [value]) => {
-                if value.len() % width != 0 {
-                    return Err(format!("expected rows of {width}, found {} numbers", value.len()));
-                }
-                Ok(Value::Rows { width: *width, numbers: value.rows() })
-            }
-            (Self::Concatenate, parts) => {
-                let mut all = Vec::new();
-                let mut common = None;
-                for part in parts {
-                    match part {
-                        Value::Rows { width, numbers } if *common.get_or_insert(*width) == *width => {
-                            all.extend_from_slice(numbers);
-                        }
-                        _ => return Err("expected rows of one width".to_owned()),
-                    }
-                }
-                Ok(Value::Rows { width: common.unwrap_or(1), numbers: all })
-            }
-            _ => Err("expected a map for each input".to_owned()),
-        }
-    }
-}
-
-/// Height and width of a map of sane size.
-fn checked(shape: [usize; 3]) -> Result<[usize; 2], String> {
-    let len = shape.iter().try_fold(1_usize, |len, size| len.checked_mul(*size));
-    match len {
-        Some(1..=MAX_NUMBERS) => Ok([shape[1], shape[2]]),
-        _ => Err(format!("expected a map of at most {MAX_NUMBERS} numbers, found {shape:?}")),
-    }
-}
-
-impl Window {
-    /// The map with what the edges need around it.
-    fn padded(
-        &self,
-        shape: [usize; 3],
-        numbers: &[f32],
-        value: f32,
-    ) -> Result<([usize; 3], Vec<f32>), String> {
-        let sides = [0, 1].map(|axis| match self.edges {
-            Edges::Valid => [0, 0],
-            Edges::Same => {
-                let (size, kernel, stride) = (shape[axis + 1], self.kernel[axis], self.stride[axis]);
-                let needed = (size.div_ceil(stride).saturating_sub(1) * stride + kernel).saturating_sub(size);
-                [needed / 2, needed - needed / 2]
-            }
-        });
-        let padded = surrounded(shape, numbers, [[0, 0], sides[0], sides[1]], value)?;
-        let [_, height, width] = padded.0;
-        if self.kernel[0] > height || self.kernel[1] > width {
-            let [down, across] = self.kernel;
-            return Err(format!("expected a map for a window of {across}x{down}, found {width}x{height}"));
-        }
-        Ok(padded)
-    }
-}
-
-fn surrounded(
-    [channels, height, width]: [usize; 3],
-    numbers: &[f32],
-    [depth, rows, columns]: [[usize; 2]; 3],
-    value: f32,
-) -> Result<([usize; 3], Vec<f32>), String> {
-    let larger = |size: usize, sides: [usize; 2]| size.saturating_add(sides[0]).saturating_add(sides[1]);
-    let shape = [larger(channels, depth), larger(height, rows), larger(width, columns)];
-    checked(shape)?;
-    let mut out = vec![value; shape.iter().product()];
-    for (row, line) in numbers.chunks(width.max(1)).enumerate() {
-        let (channel, y) = (row / height, row % height);
-        let start = ((channel + depth[0]) * shape[1] + y + rows[0]) * shape[2] + columns[0];
-        out[start..start + width].copy_from_slice(line);
-    }
-    Ok((shape, out))
-}
-
-/// Every stride-th pixel of a map.
-fn strided([channels, height, width]: [usize; 3], numbers: &[f32], [down, across]: [usize; 2]) -> Value {
-    let shape = [channels, height.div_ceil(down), width.div_ceil(across)];
-    let rows = numbers.chunks(width.max(1)).enumerate().filter(|(row, _)| row % height % down == 0);
-    let numbers = rows.flat_map(|(_, row)| row.iter().step_by(across)).copied().collect();
-    Value::Map { shape, numbers }
-}
-
-fn maxima([channels, height, width]: [usize; 3], numbers: &[f32], window: Window) -> Value {
-    let ([kh, kw], [sh, sw]) = (window.kernel, window.stride);
-    let (out_height, out_width) = ((height - kh) / sh + 1, (width - kw) / sw + 1);
-    let mut out = Vec::with_capacity(channels * out_height * out_width);
-    for plane in numbers.chunks(height * width) {
-        for (y, x) in (0..out_height).flat_map(|y| (0..out_width).map(move |x| (y * sh, x * sw))) {
-            let rows = (y..y + kh).flat_map(|row| &plane[row * width + x..row * width + x + kw]);
-            out.push(rows.copied().fold(f32::NEG_INFINITY, f32::max));
-        }
-    }
-    Value::Map { shape: [channels, out_height, out_width], numbers: out }
 }

@@ -1,0 +1,84 @@
+//! Networks in MediaPipe's package.
+
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+use srflow_files::{FileKind, open_zip, read_file};
+
+use crate::tflite::Network;
+use crate::{FaceError, ModelError};
+
+/// Where the networks come from, for messages and help.
+pub const MODEL_SOURCES: &str = "the networks of MediaPipe, which are in its package up to version 0.10.21: `pip download \
+    --no-deps --only-binary=:all: --python-version 3.11 --platform manylinux_2_28_x86_64 mediapipe==0.10.21` gets a file \
+    mediapipe-0.10.21-....whl, which works on every system";
+
+/// No network of MediaPipe's for faces or persons is larger, in bytes.
+const LARGEST_MODEL: u64 = 64 << 20;
+
+/// A network of MediaPipe's.
+pub(crate) struct Model {
+    /// Its file.
+    pub(crate) name: &'static str,
+    /// The folder of the file below `modules` of the package.
+    pub(crate) folder: &'static str,
+    /// Height and width of its input.
+    pub(crate) input: [usize; 2],
+    /// What else tells it from other networks: a sentence with what was expected and found.
+    pub(crate) check: fn(&Network) -> Result<(), String>,
+}
+
+impl Model {
+    /// Reads the network from MediaPipe's package: its wheel, its folder, or any folder with the file.
+    ///
+    /// # Errors
+    /// When the file is missing, damaged, or another network.
+    pub(crate) fn read(&self, path: &Path) -> Result<Network, FaceError> {
+        let (bytes, found) = self.bytes(path)?;
+        let network = Network::parse(&bytes).and_then(|network| {
+            let [height, width] = network.input();
+            if [height, width] != self.input {
+                return Err(format!(
+                    "expected a network for {}x{} pixels, found {width}x{height}",
+                    self.input[1], self.input[0]
+                ));
+            }
+            (self.check)(&network).map(|()| network)
+        });
+        network.map_err(|problem| ModelError { path: found, problem }.into())
+    }
+
+    /// The bytes of the network, and the file that they are from.
+    fn bytes(&self, path: &Path) -> Result<(Vec<u8>, PathBuf), FaceError> {
+        let name = self.name;
+        let missing = |found: String| ModelError {
+            path: path.to_owned(),
+            problem: format!("expected {MODEL_SOURCES}, or a folder with its files; found {found}"),
+        };
+        if path.is_dir() {
+            let places = [path.join(name), path.join("modules").join(self.folder).join(name)];
+            let Some(file) = places.into_iter().find(|file| file.exists()) else {
+                return Err(missing(format!("no {name}")).into());
+            };
+            return Ok((read_file(&file, FileKind::Network)?, file));
+        }
+        let bytes = read_file(path, FileKind::Network)?;
+        let mut zip = open_zip(bytes)
+            .map_err(|problem| missing(format!("a file that is no whole .whl ({problem})")))?;
+        let names = zip.file_names().filter_map(Result::ok);
+        let mut named =
+            names.filter(|entry| entry.rsplit('/').next() == Some(name)).map(|entry| entry.into_owned());
+        let Some(entry) = named.next() else {
+            return Err(missing(format!("no {name} inside")).into());
+        };
+        drop(named);
+        let damaged = |error: &dyn std::fmt::Display| ModelError {
+            path: path.to_owned(),
+            problem: format!("{entry}: {error}; get the file again"),
+        };
+        let file = zip.by_name(&entry).map_err(|error| damaged(&error))?;
+        let mut bytes = Vec::new();
+        file.take(LARGEST_MODEL).read_to_end(&mut bytes).map_err(|error| damaged(&error))?;
+        Ok((bytes, path.join(entry)))
+    }
+}

@@ -1112,6 +1112,41 @@ def avatar_fit(
     return _run("avatar fit", settings)
 
 
+def avatar_from_video(
+    video: Path,
+    out: Path,
+    config: Path = "cpu",
+    *,
+    model: str = "builtin-average",
+    frames: int = 240,
+    focal: float | None = None,
+    eye_distance: float | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
+    iterations: int | None = None,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Make an avatar from a video of one person.
+
+    Args:
+        video: Video of one person.
+        out: Folder to write.
+        config: Preset or TOML file of the training.
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        frames: Use at most this many frames, spread over the video.
+        focal: Focal length in pixels [default: recorded in the video, else 1.1 longer sides].
+        eye_distance: Distance between the pupils in millimetres, about 63 in adults; gives the scale that a single camera cannot see.
+        face_index: Face to follow if there are several; 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or .whl file, or a folder with its networks [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        iterations: Number of iterations of the training.
+        force: Delete what an earlier run has left in the folder and start over.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("avatar from-video", settings)
+
+
 def avatar_train(
     out: Path | None = None,
     config: Path | None = None,
@@ -2138,4 +2173,4 @@ def mer_tables(
     return _run("mer tables", settings)
 
 
-__all__ = ["ablation", "avatar_capture", "avatar_eval", "avatar_export", "avatar_fit", "avatar_import", "avatar_mesh", "avatar_train", "avatar_units", "check", "convert", "demo", "device", "device_network", "device_rasterizer", "eval", "figure", "flow", "mer_apex", "mer_data", "mer_features", "mer_predict", "mer_run", "mer_spot", "mer_spot_score", "mer_strain", "mer_synth", "mer_synth_long", "mer_tables", "merge", "metrics", "models", "models_export", "models_inspect", "pack", "rasterize", "render", "shapes", "train", "view"]
+__all__ = ["ablation", "avatar_capture", "avatar_eval", "avatar_export", "avatar_fit", "avatar_from_video", "avatar_import", "avatar_mesh", "avatar_train", "avatar_units", "check", "convert", "demo", "device", "device_network", "device_rasterizer", "eval", "figure", "flow", "mer_apex", "mer_data", "mer_features", "mer_predict", "mer_run", "mer_spot", "mer_spot_score", "mer_strain", "mer_synth", "mer_synth_long", "mer_tables", "merge", "metrics", "models", "models_export", "models_inspect", "pack", "rasterize", "render", "shapes", "train", "view"]

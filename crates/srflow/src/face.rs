@@ -79,17 +79,7 @@ impl FaceArgs {
     /// The networks, if faces are to be found.
     fn finder(&self) -> anyhow::Result<Option<FaceFinder>> {
         let Some(_) = &self.face else { return Ok(None) };
-        let models = match (&self.face_models, std::env::var_os(FACE_MODELS_VARIABLE)) {
-            (Some(path), _) => path.clone(),
-            (None, Some(path)) => path.into(),
-            (None, None) => match installed_mediapipe() {
-                Some(folder) => folder,
-                None => wrong_settings!(
-                    "`face` detect needs {MODEL_SOURCES}; give it with `face_models` (python3 has no mediapipe installed)"
-                ),
-            },
-        };
-        Ok(Some(FaceFinder::read(&models)?))
+        Ok(Some(FaceFinder::read(&face_models(self.face_models.as_deref())?)?))
     }
 
     /// How the faces of clips are cut out. Those that are found are written to `file`.
@@ -208,6 +198,20 @@ impl FaceArgs {
             (None, None, None) => return Ok(None),
         };
         Ok(Some(FaceBoxes { source, found: Vec::new() }))
+    }
+}
+
+/// Where MediaPipe's networks are: in the path that is given, else in that of the environment, else in Python's package.
+///
+/// # Errors
+/// Says where to get them when they are nowhere.
+pub fn face_models(given: Option<&Path>) -> anyhow::Result<PathBuf> {
+    let elsewhere = || std::env::var_os(FACE_MODELS_VARIABLE).map(PathBuf::from).or_else(installed_mediapipe);
+    match given.map(Path::to_owned).or_else(elsewhere) {
+        Some(path) => Ok(path),
+        None => wrong_settings!(
+            "finding faces needs {MODEL_SOURCES}; give it with `face_models` (python3 has no mediapipe installed)"
+        ),
     }
 }
 

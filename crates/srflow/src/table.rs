@@ -68,6 +68,7 @@ jobs![
     avatar::capture::CaptureJob,
     avatar::import::ImportJob,
     avatar::fit::FitJob,
+    avatar::from_video::FromVideoJob,
     avatar::train::TrainJob,
     avatar::eval::EvalJob,
     avatar::mesh::MeshJob,

@@ -31,12 +31,14 @@ pub fn is_video(path: &Path) -> bool {
 }
 
 /// What `ffprobe` reports about a video; empty without `ffprobe`.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Facts {
     /// How many frames it has.
     pub frames: Option<u64>,
     /// Frames per second, such as `30000/1001`.
     pub rate: Option<String>,
+    /// Focal length in the format of 35 mm film, millimetres, as phones record it.
+    pub focal_length_35mm: Option<f64>,
 }
 
 /// Arguments that restrict ffmpeg to the given file: no playlist or image list that names other files, and no protocol that
@@ -63,7 +65,7 @@ pub fn facts(path: &Path) -> Facts {
     if open_file(path, FileKind::Video).is_err() {
         return Facts::default(); // reported when the video is read
     }
-    let entries = "stream=r_frame_rate,nb_read_packets";
+    let entries = "stream=r_frame_rate,nb_read_packets:format_tags:stream_tags";
     let mut command = Command::new("ffprobe");
     command.args(ONLY_THIS_FILE).args([
         "-v",
@@ -79,13 +81,22 @@ pub fn facts(path: &Path) -> Facts {
         return Facts::default();
     };
     let text = String::from_utf8_lossy(&output.stdout);
-    let value = |key: &str| {
+    facts_of(&text)
+}
+
+/// Reads lines of `key=value`; tags begin with `TAG:`.
+fn facts_of(text: &str) -> Facts {
+    let find = |is_it: &dyn Fn(&str) -> bool| {
         let mut lines = text.lines().filter_map(|line| line.split_once('='));
-        lines.find(|(found, _)| *found == key).map(|(_, value)| value.to_owned())
+        lines.find(|(key, _)| is_it(key)).map(|(_, value)| value.to_owned())
     };
+    let value = |wanted: &str| find(&|key| key == wanted);
+    // As `com.apple.quicktime.camera.focal_length.35mm_equivalent`.
+    let focal = find(&|key| key.starts_with("TAG:") && key.ends_with("focal_length.35mm_equivalent"));
     Facts {
         frames: value("nb_read_packets").and_then(|count| count.parse().ok()),
         rate: value("r_frame_rate").filter(|rate| !rate.starts_with('0')),
+        focal_length_35mm: focal.and_then(|mm| mm.parse().ok()).filter(|mm| (5.0..=500.0).contains(mm)),
     }
 }
 
@@ -315,6 +326,18 @@ mod tests {
         {
             assert!(read_ppm(&mut broken.as_bytes()).is_err(), "{broken:?}");
         }
+    }
+
+    #[test]
+    fn facts_are_read_from_what_ffprobe_prints() {
+        let facts = facts_of(
+            "r_frame_rate=30/1\nnb_read_packets=472\nTAG:com.apple.quicktime.camera.focal_length.35mm_equivalent=26\n",
+        );
+        assert_eq!(
+            facts,
+            Facts { frames: Some(472), rate: Some("30/1".into()), focal_length_35mm: Some(26.0) }
+        );
+        assert_eq!(facts_of("TAG:focal_length.35mm_equivalent=-1\n"), Facts::default());
     }
 
     #[test]

@@ -6,7 +6,7 @@ use srflow::avatar;
 use crate::Context;
 use crate::run::run as run_job;
 
-/// Head models and avatars: captures, fitting, training, scores, meshes, export, action units
+/// Head models and avatars: from a video, captures, fitting, training, scores, meshes, export, action units
 #[derive(Args)]
 pub struct Avatar {
     #[command(subcommand)]
@@ -19,6 +19,7 @@ enum AvatarCommand {
     Eval(avatar::eval::EvalJob),
     Export(avatar::export::ExportJob),
     Fit(avatar::fit::FitJob),
+    FromVideo(avatar::from_video::FromVideoJob),
     Import(avatar::import::ImportJob),
     Mesh(avatar::mesh::MeshJob),
     Train(avatar::train::TrainJob),
@@ -31,6 +32,7 @@ pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
         AvatarCommand::Eval(job) => run_job(&job, context),
         AvatarCommand::Export(job) => run_job(&job, context),
         AvatarCommand::Fit(job) => run_job(&job, context),
+        AvatarCommand::FromVideo(job) => run_job(&job, context),
         AvatarCommand::Import(job) => run_job(&job, context),
         AvatarCommand::Mesh(job) => run_job(&job, context),
         AvatarCommand::Train(job) => run_job(&job, context),

@@ -4,6 +4,7 @@ pub mod capture;
 pub mod eval;
 pub mod export;
 pub mod fit;
+pub mod from_video;
 pub mod import;
 pub mod mesh;
 mod paths;

@@ -1,0 +1,77 @@
+//! A mesh as a camera sees it.
+
+use glam::{DVec2, Vec3};
+use srflow_core::{Image, Plane};
+use srflow_splat::Camera;
+
+/// How brightly the surface is lit from the camera at each pixel, from 0.25 to 1; 0 where there is none.
+pub fn shading(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Plane {
+    let (width, height) = (camera.width, camera.height);
+    let (mut shade, mut nearest) = (Plane::new(width, height), vec![f64::INFINITY; width * height]);
+    let seen: Vec<Option<(DVec2, f64)>> =
+        vertices.iter().map(|vertex| camera.project(vertex.as_dvec3())).collect();
+    let eye = camera.position();
+    for triangle in triangles {
+        let [Some((a, da)), Some((b, db)), Some((c, dc))] = triangle.map(|v| seen[v as usize]) else {
+            continue;
+        };
+        let area = (b - a).perp_dot(c - a);
+        if area == 0.0 || !area.is_finite() {
+            continue;
+        }
+        let [p, q, r] = triangle.map(|v| vertices[v as usize].as_dvec3());
+        let normal = (q - p).cross(r - p).normalize_or_zero();
+        let lit = 0.25 + 0.75 * normal.dot((eye - p).normalize_or_zero()).abs();
+        let range = |axis: usize, side: usize| {
+            let low = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0);
+            let high = a[axis].max(b[axis]).max(c[axis]).floor().min(side as f64 - 1.0);
+            low as usize..if high < low { low as usize } else { high as usize + 1 }
+        };
+        for y in range(1, height) {
+            for x in range(0, width) {
+                let at = DVec2::new(x as f64, y as f64);
+                let [u, v] = [(at - a).perp_dot(c - a) / area, (b - a).perp_dot(at - a) / area];
+                if u < 0.0 || v < 0.0 || u + v > 1.0 {
+                    continue;
+                }
+                let depth = 1.0 / ((1.0 - u - v) / da + u / db + v / dc);
+                let nearest = &mut nearest[y * width + x];
+                if depth < *nearest {
+                    *nearest = depth;
+                    shade.set(x, y, lit as f32);
+                }
+            }
+        }
+    }
+    shade
+}
+
+/// The picture with the surface over it, through which it is seen.
+pub fn overlay(image: &Image, shading: &Plane) -> Image {
+    const SURFACE: [f32; 3] = [90.0, 190.0, 255.0];
+    Image::from_fn(image.width(), image.height(), |x, y| {
+        let (pixel, shade) = (image.get(x, y), shading.get(x, y));
+        let share = if shade > 0.0 { 0.55 } else { 0.0 };
+        std::array::from_fn(|c| {
+            (f32::from(pixel[c]) * (1.0 - share) + SURFACE[c] * shade * share).round() as u8
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearer_of_two_triangles_is_seen() {
+        let camera = Camera::centred((20, 20), [20.0; 2]);
+        let triangle = |depth: f32, tilt: f32| {
+            [Vec3::new(-1.0, -1.0, depth), Vec3::new(1.0, -1.0, depth), Vec3::new(0.0, 1.0, depth + tilt)]
+        };
+        let vertices = [triangle(4.0, 3.0), triangle(3.0, 0.0)].concat();
+        let both = shading(&vertices, &[[0, 1, 2], [3, 4, 5]], &camera);
+        let near = shading(&vertices, &[[3, 4, 5]], &camera);
+        assert_eq!(both.get(10, 10), near.get(10, 10));
+        assert!(near.get(10, 10) > 0.9 && near.get(1, 1) == 0.0);
+    }
+}

@@ -76,11 +76,11 @@ multiversioned! {
             let (top, down) = taps(at_y, warper.height);
             for i in 0..len {
                 let mut sums = [0.0_f32; 4 * CHANNELS];
-                for row in 0..4 {
+                for (row, down) in down.iter().enumerate() {
                     let first = (top[i] as usize + row) * row_len + left[i] as usize * CHANNELS;
                     let pixels = &warper.pixels[first..first + 4 * CHANNELS];
                     for number in 0..4 * CHANNELS {
-                        sums[number] += pixels[number] * (across[number / CHANNELS][i] * down[row][i]);
+                        sums[number] += pixels[number] * (across[number / CHANNELS][i] * down[i]);
                     }
                 }
                 value[start + i] = sums[0] + sums[4] + sums[8] + sums[12];

@@ -2,6 +2,7 @@
 //!
 //! Both methods work on 8-bit luminance, as OpenCV's functions do. Results do not depend on the number of threads.
 
+mod block;
 mod farneback;
 mod planar;
 mod tvl1;

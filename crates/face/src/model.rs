@@ -1,9 +1,8 @@
 //! Networks in MediaPipe's package.
 
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-use srflow_files::{FileKind, open_zip, read_file};
+use srflow_files::{FileKind, open_zip, read_file, zip_entry, zip_entry_named};
 
 use crate::tflite::Network;
 use crate::{FaceError, ModelError};
@@ -65,20 +64,14 @@ impl Model {
         let bytes = read_file(path, FileKind::Network)?;
         let mut zip = open_zip(bytes)
             .map_err(|problem| missing(format!("a file that is no whole .whl ({problem})")))?;
-        let names = zip.file_names().filter_map(Result::ok);
-        let mut named =
-            names.filter(|entry| entry.rsplit('/').next() == Some(name)).map(|entry| entry.into_owned());
-        let Some(entry) = named.next() else {
+        let Some(entry) = zip_entry_named(&zip, name) else {
             return Err(missing(format!("no {name} inside")).into());
         };
-        drop(named);
-        let damaged = |error: &dyn std::fmt::Display| ModelError {
+        let bytes = zip_entry(&mut zip, &entry, "a package of MediaPipe", LARGEST_MODEL);
+        let bytes = bytes.map_err(|problem| ModelError {
             path: path.to_owned(),
-            problem: format!("{entry}: {error}; get the file again"),
-        };
-        let file = zip.by_name(&entry).map_err(|error| damaged(&error))?;
-        let mut bytes = Vec::new();
-        file.take(LARGEST_MODEL).read_to_end(&mut bytes).map_err(|error| damaged(&error))?;
+            problem: format!("{entry}: {problem}; get the file again"),
+        })?;
         Ok((bytes, path.join(entry)))
     }
 }

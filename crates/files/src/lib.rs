@@ -24,7 +24,7 @@ pub use codec::npy::{
     Array, npy_pickle, read_npy, read_npy_channels_first, read_npy_plane, write_npy, write_npy_plane,
 };
 pub use codec::npz::{Npz, NpzArray, write_npz};
-pub use codec::npz::{open_zip, write_zip, zip_entry};
+pub use codec::npz::{open_zip, write_zip, zip_entry, zip_entry_named};
 pub use codec::{
     FlowFormat, encode_flow, encode_flow_half, read_flow, read_flow_as, write_flow, write_flow_as,
 };

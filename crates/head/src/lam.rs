@@ -8,11 +8,12 @@
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
-use srflow_files::{FileError, FileKind, FileProblem, open_zip, read_file, zip_entry};
+use srflow_files::{FileError, FileKind, FileProblem, open_zip, read_file, zip_entry, zip_entry_named};
 use srflow_splat::gltf::Document;
 use srflow_splat::{Gaussians, parse_ply};
 
 use crate::landmark_file::on_triangle;
+use crate::mesh::vertex_normals;
 use crate::regions::divide_skin;
 use crate::{HeadError, HeadModel, JointRole, Offsets, Region, Skinning, Splat, gltf};
 
@@ -99,9 +100,7 @@ fn files(path: &Path) -> Result<[(PathBuf, Vec<u8>); 2], FileError> {
     let mut archive = open_zip(read_file(path, FileKind::Mesh)?).map_err(in_file)?;
     let mut read = |name: &str| {
         // LAM packs the folder: the files are one level down.
-        let is_it = |entry: &str| Path::new(entry).file_name().is_some_and(|last| last == name);
-        let found = archive.file_names().flatten().find(|entry| is_it(entry)).map(|entry| entry.into_owned());
-        let entry = found.unwrap_or_else(|| name.to_owned());
+        let entry = zip_entry_named(&archive, name).unwrap_or_else(|| name.to_owned());
         let bytes = zip_entry(&mut archive, &entry, "an avatar of LAM", MAX_ENTRY).map_err(in_file)?;
         Ok((path.join(name), bytes))
     };
@@ -193,12 +192,13 @@ fn move_to_origin(model: &mut HeadModel) {
 /// displacements of the vertex.
 fn add_carriers(model: &mut HeadModel, gaussians: &Gaussians) {
     let count = model.template.len();
-    let normals = vertex_normals(model);
+    let normals = vertex_normals(&model.template, &model.triangles);
     let mut regions = vec![Region::Skin; count];
     for (triangle, region) in model.triangles.iter().zip(&model.regions) {
         triangle.iter().for_each(|v| regions[*v as usize] = *region);
     }
     for (vertex, normal) in normals.into_iter().enumerate() {
+        let normal = normal.normalize_or(Vec3::Z);
         let position = model.template[vertex] + gaussians.positions[vertex];
         let along = normal.any_orthonormal_vector();
         let first = model.template.len() as u32;
@@ -228,17 +228,6 @@ fn add_carriers(model: &mut HeadModel, gaussians: &Gaussians) {
         offsets.extend(copies);
         shape.offsets = Offsets::Sparse(offsets);
     }
-}
-
-/// The normal of each vertex: the sum of those of its triangles, by their areas.
-fn vertex_normals(model: &HeadModel) -> Vec<Vec3> {
-    let mut normals = vec![Vec3::ZERO; model.template.len()];
-    for triangle in &model.triangles {
-        let [a, b, c] = triangle.map(|v| model.template[v as usize]);
-        let normal = (b - a).cross(c - a);
-        triangle.iter().for_each(|v| normals[*v as usize] += normal);
-    }
-    normals.into_iter().map(|normal| normal.normalize_or(Vec3::Z)).collect()
 }
 
 #[cfg(test)]

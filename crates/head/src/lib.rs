@@ -34,7 +34,7 @@ pub use head_model::{
     Offsets, PointDerivatives, PoseCorrective, Region, Shape, ShapedHead, Side, Skinning, TextureMap,
     rotation_of_axis_angle,
 };
-pub use mesh::{MeshFormat, MeshMotion, add_mesh, write_mesh};
+pub use mesh::{MeshFormat, MeshMotion, add_mesh, vertex_normals, write_mesh};
 pub use micro_expression::MicroExpression;
 pub use model_source::ModelSource;
 pub use motion::{Moment, Motion};

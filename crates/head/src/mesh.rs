@@ -277,6 +277,17 @@ fn write_indices(writer: &mut impl Write, triangles: &[[u32; 3]]) -> io::Result<
     triangles.iter().flatten().try_for_each(|index| writer.write_all(&index.to_le_bytes()))
 }
 
+/// A normal of each vertex: the sum of those of its triangles, each as long as twice the triangle's area.
+pub fn vertex_normals(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
+    let mut normals = vec![Vec3::ZERO; vertices.len()];
+    for triangle in triangles {
+        let [a, b, c] = triangle.map(|vertex| vertices[vertex as usize]);
+        let normal = (b - a).cross(c - a);
+        triangle.iter().for_each(|vertex| normals[*vertex as usize] += normal);
+    }
+    normals
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -25,7 +25,7 @@ pub use pose_adam::{PoseAdam, PoseRates};
 pub use presets::PRESETS;
 pub use regularizers::{RegularizerValue, Regularizers};
 pub use run::{
-    IterationsRecord, LogRecord, RunError, RunEvent, RunOutcome, RunRecord, RunRequest, RunScores,
+    IterationsRecord, LogRecord, RUN_NAME, RunError, RunEvent, RunOutcome, RunRecord, RunRequest, RunScores,
     ScoredSplit, ScoresRecord, read_run, run, run_of_avatar,
 };
 pub use schedule::RateSchedule;

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use crate::block::block;
+
 use super::expansion::{COEFFICIENTS, Expansion};
 use super::strips::StripedFlow;
 use srflow_simd::multiversioned;
@@ -123,9 +125,9 @@ multiversioned! {
         let mut channel = || channels.next().unwrap_or_default();
         let [g_yy, g_xy, g_xx, h_y, h_x] = [(); CHANNELS].map(|()| channel());
 
-        for block in (0..len).step_by(BLOCK) {
-            let [u, v, weight] = [part.u, part.v, part.weight].map(|values| block_of(values, block));
-            let columns = part.columns.start + block..(part.columns.start + block + BLOCK).min(part.columns.end);
+        for start in (0..len).step_by(BLOCK) {
+            let [u, v, weight] = [part.u, part.v, part.weight].map(|values| block::<BLOCK>(values, start));
+            let columns = part.columns.start + start..(part.columns.start + start + BLOCK).min(part.columns.end);
             let fits = compare_fits(first, second, part.y, columns, &u, &v);
 
             // Coefficient by coefficient, so that the loop becomes vector instructions.
@@ -144,7 +146,7 @@ multiversioned! {
                 evidence[4][i] = xy * dy + xx * dx;
             }
             for (out, values) in [&mut *g_yy, g_xy, g_xx, h_y, h_x].into_iter().zip(&evidence) {
-                out[block..block + BLOCK].copy_from_slice(values);
+                out[start..start + BLOCK].copy_from_slice(values);
             }
         }
     }
@@ -212,14 +214,5 @@ fn whole_number(x: f32) -> u32 {
 /// The coefficients of a pixel and three unused numbers: a whole vector register.
 #[inline(always)]
 fn eight(expansion: &Expansion, pixel: usize) -> [f32; 8] {
-    let mut numbers = [0.0; 8];
-    numbers.copy_from_slice(&expansion.coefficients[pixel * COEFFICIENTS..pixel * COEFFICIENTS + 8]);
-    numbers
-}
-
-#[inline(always)]
-fn block_of(values: &[f32], start: usize) -> [f32; BLOCK] {
-    let mut block = [0.0; BLOCK];
-    block.copy_from_slice(&values[start..start + BLOCK]);
-    block
+    block(&expansion.coefficients, pixel * COEFFICIENTS)
 }

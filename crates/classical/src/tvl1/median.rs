@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::state::{MARGIN, State, rows_per_task, value_line};
+use crate::block::block;
 use srflow_simd::multiversioned;
 
 /// Pixels that are filtered together.
@@ -48,8 +49,8 @@ fn pad(line: &mut [f32], values: &[f32], radius: usize) {
 multiversioned! {
     fn median_of_3_rows(out: &mut [f32], a: &mut [f32], b: &mut [f32], c: &mut [f32]) {
         sort_columns_3(a, b, c);
-        for (block, out) in out.chunks_mut(BLOCK).enumerate() {
-            let columns = |line: &[f32]| [0, 1, 2].map(|column| lanes(line, block * BLOCK + column));
+        for (number, out) in out.chunks_mut(BLOCK).enumerate() {
+            let columns = |line: &[f32]| [0, 1, 2].map(|column| block(line, number * BLOCK + column));
             let ([mut low0, mut low1, low2], [mut mid0, mut mid1, mut mid2]) = (columns(a), columns(b));
             let [mut high0, mut high1, high2] = columns(c);
             // The largest of the smallest, the middle one of the middle ones, the smallest of the largest.
@@ -67,8 +68,8 @@ multiversioned! {
 multiversioned! {
     fn median_of_5_rows(out: &mut [f32], a: &mut [f32], b: &mut [f32], c: &mut [f32], d: &mut [f32], e: &mut [f32]) {
         sort_columns_5(a, b, c, d, e);
-        for (block, out) in out.chunks_mut(BLOCK).enumerate() {
-            let columns = |line: &[f32]| [0, 1, 2, 3, 4].map(|column| lanes(line, block * BLOCK + column));
+        for (number, out) in out.chunks_mut(BLOCK).enumerate() {
+            let columns = |line: &[f32]| [0, 1, 2, 3, 4].map(|column| block(line, number * BLOCK + column));
             // With columns and then rows sorted, a value with 13 or more values on one side of it is not the median. That leaves 13
             // of the 25, and the median is theirs.
             let [_, _, _, a3, a4] = sort_5(columns(a));
@@ -144,7 +145,7 @@ fn sort_3(a: &mut Lanes, b: &mut Lanes, c: &mut Lanes) {
 fn sort_columns_5(a: &mut [f32], b: &mut [f32], c: &mut [f32], d: &mut [f32], e: &mut [f32]) {
     for start in (0..a.len()).step_by(BLOCK) {
         let sorted =
-            sort_5([lanes(a, start), lanes(b, start), lanes(c, start), lanes(d, start), lanes(e, start)]);
+            sort_5([block(a, start), block(b, start), block(c, start), block(d, start), block(e, start)]);
         for (line, values) in [&mut *a, b, c, d, e].into_iter().zip(&sorted) {
             line[start..start + BLOCK].copy_from_slice(values);
         }
@@ -154,19 +155,12 @@ fn sort_columns_5(a: &mut [f32], b: &mut [f32], c: &mut [f32], d: &mut [f32], e:
 #[inline(always)]
 fn sort_columns_3(a: &mut [f32], b: &mut [f32], c: &mut [f32]) {
     for start in (0..a.len()).step_by(BLOCK) {
-        let [mut low, mut mid, mut high] = [lanes(a, start), lanes(b, start), lanes(c, start)];
+        let [mut low, mut mid, mut high] = [block(a, start), block(b, start), block(c, start)];
         sort_3(&mut low, &mut mid, &mut high);
         for (line, values) in [&mut *a, b, c].into_iter().zip([low, mid, high]) {
             line[start..start + BLOCK].copy_from_slice(&values);
         }
     }
-}
-
-#[inline(always)]
-fn lanes(line: &[f32], start: usize) -> Lanes {
-    let mut lanes = [0.0; BLOCK];
-    lanes.copy_from_slice(&line[start..start + BLOCK]);
-    lanes
 }
 
 /// Swaps the lanes where `a` is larger than `b`.

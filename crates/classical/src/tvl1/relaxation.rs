@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::median;
 use super::parameters::TvL1Parameters;
 use super::state::{Layout, Linearized, MARGIN, State, dual_line, value_line};
+use crate::block::block;
 use srflow_simd::multiversioned;
 
 /// Bytes of the rows that a group of iterations touches: well within a core's second-level cache.
@@ -312,12 +313,11 @@ multiversioned! {
     ) {
         let ((pull, gradient), [along, down, above]) = (data, dual);
         let whole = MARGIN + width - width % LANES;
-        // In arrays of a known length, so that the compiler makes vectors of them.
         for at in (MARGIN..whole).step_by(LANES) {
-            let (pull, gradient) = (block(pull, at), block(gradient, at));
-            let (before, along) = (block(along, at - 1), block(along, at));
-            let (down, above) = (block(down, at), block(above, at));
-            let mut moved = block(values, at);
+            let (pull, gradient) = (block::<LANES>(pull, at), block::<LANES>(gradient, at));
+            let (before, along) = (block::<LANES>(along, at - 1), block::<LANES>(along, at));
+            let (down, above) = (block::<LANES>(down, at), block::<LANES>(above, at));
+            let mut moved: [f32; LANES] = block(values, at);
             for lane in 0..LANES {
                 let divergence = (along[lane] - before[lane]) + (down[lane] - above[lane]);
                 let change = move_value(&mut moved[lane], pull[lane] * gradient[lane], theta * divergence);
@@ -341,14 +341,6 @@ fn move_value(value: &mut f32, data: f32, smoothness: f32) -> f32 {
     let change = moved - *value;
     *value = moved;
     change
-}
-
-/// The numbers of a line from `at` on.
-#[inline(always)]
-fn block(line: &[f32], at: usize) -> [f32; LANES] {
-    let mut block = [0.0; LANES];
-    block.copy_from_slice(&line[at..at + LANES]);
-    block
 }
 
 multiversioned! {

@@ -70,6 +70,12 @@ pub fn open_zip(bytes: Vec<u8>) -> Result<ZipArchive<Cursor<Vec<u8>>>, FileProbl
     ZipArchive::new(Cursor::new(bytes)).map_err(sound)
 }
 
+/// The first entry of an archive that has this file name, in whatever folder.
+pub fn zip_entry_named(archive: &ZipArchive<Cursor<Vec<u8>>>, file_name: &str) -> Option<String> {
+    let mut entries = archive.file_names().flatten();
+    entries.find(|entry| entry.rsplit('/').next() == Some(file_name)).map(|entry| entry.into_owned())
+}
+
 /// The bytes of an entry of an archive of this `kind`, such as `a .sog file`; at most `most` of them.
 ///
 /// # Errors

@@ -3,6 +3,7 @@
 use glam::Vec3;
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::{Key, Stream};
+use srflow_head::vertex_normals;
 use srflow_splat::{Gaussians, SH_0};
 
 use crate::recording::coded;
@@ -96,16 +97,8 @@ fn direction(azimuth: f32, elevation: f32) -> Vec3 {
 /// A normal of each triangle, averaged with its neighbours so that edges do not show.
 fn normals(avatar: &Avatar, head: &PosedHead) -> Vec<Vec3> {
     let (vertices, triangles) = (head.vertices(), &avatar.model().triangles);
-    let corners = |triangle: &[u32; 3]| triangle.map(|corner| corner as usize);
-    let mut around = vec![Vec3::ZERO; vertices.len()];
-    for [a, b, c] in triangles.iter().map(corners) {
-        // As long as twice the triangle's area.
-        let normal = (vertices[b] - vertices[a]).cross(vertices[c] - vertices[a]);
-        for corner in [a, b, c] {
-            around[corner] += normal;
-        }
-    }
-    let of = |triangle| corners(triangle).map(|corner| around[corner]).into_iter().sum::<Vec3>();
+    let around = vertex_normals(vertices, triangles);
+    let of = |triangle: &[u32; 3]| triangle.iter().map(|corner| around[*corner as usize]).sum::<Vec3>();
     triangles.iter().map(|triangle| of(triangle).normalize_or(Vec3::Z)).collect()
 }
 

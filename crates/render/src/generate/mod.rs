@@ -34,7 +34,7 @@ pub use motion::MotionSource;
 pub use occlusion::DEPTH_TOLERANCE;
 pub(crate) use path::Path as SmoothPath;
 pub use pictures::DEPTH_UNITS_PER_METRE;
-pub(crate) use pictures::write_alpha;
+pub use pictures::write_alpha;
 pub use rig::{CANONICAL_CAMERA, FULL_SIZE, Rig, View};
 pub(crate) use scene::{Action, Views, record};
 pub use settings::{Settings, with_flat_recording};

@@ -153,7 +153,8 @@ pub struct Fitted {
     pub mesh_error: Option<MeshError>,
 }
 
-const FIT_NAME: &str = "fit.json";
+/// The report of a fit, in its folder.
+pub(super) const FIT_NAME: &str = "fit.json";
 
 impl Job for FitJob {
     const NAME: &'static str = "avatar fit";
@@ -256,6 +257,25 @@ impl Job for FitJob {
 }
 
 impl FitJob {
+    /// A fit of `model` to the capture in `data`, written to `out`, with the defaults of the other settings.
+    pub fn new(data: PathBuf, model: HeadSource, out: PathBuf) -> Self {
+        Self {
+            data,
+            model,
+            out,
+            landmarks: None,
+            landmarks_of: Vec::new(),
+            cameras: Vec::new(),
+            noise: None,
+            eye_distance: None,
+            identities: default_identities(),
+            expressions: default_expressions(),
+            seed: default_seed(),
+            truth: None,
+            force: false,
+        }
+    }
+
     /// The views of the chosen cameras.
     fn used_views<'a>(&self, capture: &'a Capture) -> anyhow::Result<Vec<&'a CaptureView>> {
         if let Some(unknown) = self.cameras.iter().find(|camera| !capture.camera_indices().contains(camera)) {

@@ -24,8 +24,8 @@ use srflow_files::{
     parse_settings, read_text, remove_partial, settings_text, write_image_png,
 };
 
-pub use records::{IterationsRecord, LogRecord, RunRecord, RunScores, ScoredSplit, ScoresRecord};
-use records::{RUN_NAME, Window, loss};
+pub use records::{IterationsRecord, LogRecord, RUN_NAME, RunRecord, RunScores, ScoredSplit, ScoresRecord};
+use records::{Window, loss};
 
 use super::{SplitScore, StepReport, TrainConfig, TrainError, Trainer, ViewScore};
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};

@@ -43,7 +43,7 @@ impl RunRecord {
 }
 
 /// Name of the record of a run.
-pub(super) const RUN_NAME: &str = "run.json";
+pub const RUN_NAME: &str = "run.json";
 /// Name of the scores.
 pub(super) const SCORES_NAME: &str = "scores.json";
 

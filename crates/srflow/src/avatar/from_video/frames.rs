@@ -12,7 +12,7 @@ use srflow_files::{create_folder, write_atomically, write_image_png};
 use super::FromVideoJob;
 use crate::Watch;
 use crate::face::FaceTrack;
-use crate::video::{VideoReader, facts};
+use crate::video::VideoReader;
 
 /// Folder of the frames.
 const IMAGES: &str = "images";
@@ -52,17 +52,18 @@ struct Candidate {
     face: Face,
 }
 
-/// Chooses frames and writes them below `dir`; `None` when it was stopped.
+/// Chooses frames and writes them into the folder of the job; `None` when it was stopped.
 ///
 /// # Errors
 /// When the video cannot be read, there are several faces and none is chosen, or too few frames have one.
 pub fn choose(
     job: &FromVideoJob,
+    frames_of_video: Option<u64>,
     finder: FaceFinder,
-    dir: &Path,
     watch: &Watch,
 ) -> anyhow::Result<Option<Frames>> {
-    let of = match facts(&job.video).frames {
+    let dir = &job.out;
+    let of = match frames_of_video {
         Some(frames) if frames > 0 => frames,
         _ => count(&job.video)?,
     };

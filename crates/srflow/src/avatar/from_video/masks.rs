@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_core::{Image, Plane};
+use srflow_core::Plane;
 use srflow_face::PersonMask;
-use srflow_files::{read_image, write_image_png};
+use srflow_files::read_image;
+use srflow_render::generate::write_alpha;
 
 use super::frames::{CAMERA, image_name};
 
@@ -42,9 +43,7 @@ pub fn write_mask(
         }
         None => near,
     };
-    let grey = |alpha: f32| [(255.0 * alpha.clamp(0.0, 1.0)).round() as u8; 3];
-    let mask = Image::from_fn(image.width(), image.height(), |x, y| grey(alpha.get(x, y)));
-    Ok(write_image_png(&dir.join(mask_name(timestep)), &mask)?)
+    Ok(write_alpha(&dir.join(mask_name(timestep)), &alpha, &mut Vec::new())?)
 }
 
 /// 1 on the surface and around it, up to so many of its widths, but not below its lowest row; else 0.

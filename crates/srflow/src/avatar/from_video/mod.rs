@@ -13,12 +13,14 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use srflow_avatar::HeadSource;
 use srflow_avatar::capture::{Capture, CaptureView, LANDMARKS_NAME, split_of, write_transforms};
+use srflow_avatar::train::RUN_NAME;
 use srflow_core::{Plane, SettingError};
 use srflow_face::{FaceFinder, PersonMask};
 use srflow_files::{FileKind, create_folder, parse_error_in_words, read_text, write_file};
+use srflow_head::{HeadModel, HeadParameters, PoseParameters, ShapedHead};
 use srflow_splat::Camera;
 
-use super::fit::FitJob;
+use super::fit::{FIT_NAME, FitJob};
 use super::train::{Overrides, TrainJob, TrainReport, TrainedAvatar};
 use crate::clap::Args;
 use crate::error::wrong_settings;
@@ -76,7 +78,7 @@ pub struct FromVideoJob {
     #[serde(default)]
     pub face_models: Option<PathBuf>,
     /// Preset or TOML file of the training
-    #[arg(long, value_name = "PRESET|FILE", default_value = "cpu")]
+    #[arg(long, value_name = "PRESET|FILE", default_value_os_t = default_config())]
     #[serde(default = "default_config")]
     pub config: PathBuf,
     /// Number of iterations of the training
@@ -172,10 +174,13 @@ impl Job for FromVideoJob {
             return Ok(made);
         }
         self.fit(watch)?;
-        let Some(shadings) = self.masks(&models, watch)? else { return Ok(made) };
+        let head = FittedHead::read(&self.out.join(HEAD), &self.model)?;
+        if !self.masks(&head, &models, watch)? {
+            return Ok(made);
+        }
         let trained = self.train(watch)?;
         if !trained.stopped {
-            let page = page::page(&self.video, &self.out, &record, &shadings, &trained)?;
+            let page = page::page(&self.video, &self.out, &record, &head, &trained)?;
             write_file(&self.out.join(REPORT_NAME), page.html())?;
             made.avatar.clone_from(&trained.avatar);
             made.report = Some(self.out.join(REPORT_NAME));
@@ -242,11 +247,12 @@ impl FromVideoJob {
     fn capture(&self, models: &Path, watch: &Watch) -> anyhow::Result<Option<VideoRecord>> {
         let settings = self.determining()?;
         create_folder(&self.out)?;
-        let Some(frames) = choose(self, FaceFinder::read(models)?, &self.out, watch)? else {
+        let facts = facts(&self.video);
+        let Some(frames) = choose(self, facts.frames, FaceFinder::read(models)?, watch)? else {
             return Ok(None);
         };
         frames.landmarks.write(&self.out.join(LANDMARKS_NAME))?;
-        let (focal, source) = self.focal_length(frames.size);
+        let (focal, source) = self.focal_length(frames.size, facts.focal_length_35mm);
         write_transforms(&self.out, &views(&frames, focal))?;
         let (of, chosen) = (frames.of, frames.numbers.len());
         let record = VideoRecord { settings, frames: of, chosen, focal, focal_source: source };
@@ -254,10 +260,10 @@ impl FromVideoJob {
         Ok(Some(record))
     }
 
-    /// In pixels, for frames of this size.
-    fn focal_length(&self, (width, height): (usize, usize)) -> (f64, FocalSource) {
+    /// In pixels, for frames of this size; `recorded` in the format of 35 mm film, millimetres.
+    fn focal_length(&self, (width, height): (usize, usize), recorded: Option<f64>) -> (f64, FocalSource) {
         let side = width.max(height) as f64;
-        match (self.focal, facts(&self.video).focal_length_35mm) {
+        match (self.focal, recorded) {
             (Some(given), _) => (given, FocalSource::Given),
             (None, Some(millimetres)) => (side * millimetres / FILM, FocalSource::Recorded),
             (None, None) => (side * USUAL_FOCAL, FocalSource::Assumed),
@@ -266,46 +272,36 @@ impl FromVideoJob {
 
     fn fit(&self, watch: &Watch) -> anyhow::Result<()> {
         let out = self.out.join(HEAD);
-        if out.join("fit.json").exists() {
+        if out.join(FIT_NAME).exists() {
             return Ok(());
         }
-        let defaults = serde_json::json!({ "data": self.out, "model": self.model.to_string(), "out": out });
-        let job: FitJob = serde_json::from_value(defaults)?;
+        let job = FitJob::new(self.out.clone(), self.model.clone(), out);
         FitJob { eye_distance: self.eye_distance, force: true, ..job }.work(watch).map(|_| ())
     }
 
-    /// Writes the masks that are missing; how the fitted head is seen in each frame, or `None` when it was stopped.
-    fn masks(&self, models: &Path, watch: &Watch) -> anyhow::Result<Option<Vec<Plane>>> {
-        let capture = Capture::read(&self.out.join(HEAD))?;
-        let model = self.model.model(super::mesh::default_seed())?;
-        let parameters = capture.parameters()?;
-        let shaped = model.shaped(&parameters.shape);
+    /// Writes the masks that are missing; `false` when it was stopped.
+    fn masks(&self, head: &FittedHead, models: &Path, watch: &Watch) -> anyhow::Result<bool> {
         let person = PersonMask::read(models).map_err(|error| {
             log::warn!("{error}: masks follow the fitted head instead of the person");
         });
         create_folder(&self.out.join(MASKS))?;
-        let progress = watch.count("masks", capture.views().len() as u64);
-        let mut shadings = Vec::new();
-        let mut vertices = Vec::new();
-        for (view, pose) in capture.views().iter().zip(&parameters.poses) {
+        let views = head.capture.views();
+        let progress = watch.count("masks", views.len() as u64);
+        for (place, view) in views.iter().enumerate() {
             if watch.stops() {
-                return Ok(None);
+                return Ok(false);
             }
-            model.vertices(&shaped, &pose.pose(&model), &mut vertices);
-            let (surface, triangles) = model.surface(&vertices);
-            let shading = shading(surface, triangles, &view.camera);
             if !self.out.join(mask_name(view.timestep)).exists() {
-                write_mask(&self.out, view.timestep, &shading, person.as_ref().ok())?;
+                write_mask(&self.out, view.timestep, &head.shading(place), person.as_ref().ok())?;
             }
-            shadings.push(shading);
             progress.inc();
         }
-        Ok(Some(shadings))
+        Ok(true)
     }
 
     fn train(&self, watch: &Watch) -> anyhow::Result<TrainedAvatar> {
         let out = self.out.join(AVATAR);
-        let job = match out.join("run.json").exists() {
+        let job = match out.join(RUN_NAME).exists() {
             true => TrainJob { resume: Some(out), ..TrainJob::default() },
             false => TrainJob {
                 data: Some(self.out.join(HEAD)),
@@ -325,6 +321,31 @@ impl FromVideoJob {
                 wrong_settings!("`print_config` is a setting of `avatar train` alone")
             }
         }
+    }
+}
+
+/// The fitted head in each frame.
+struct FittedHead {
+    capture: Capture,
+    model: HeadModel,
+    shaped: ShapedHead,
+    poses: Vec<PoseParameters>,
+}
+
+impl FittedHead {
+    fn read(dir: &Path, model: &HeadSource) -> anyhow::Result<Self> {
+        let capture = Capture::read(dir)?;
+        let model = model.model(super::mesh::default_seed())?;
+        let HeadParameters { shape, poses, .. } = capture.parameters()?;
+        Ok(Self { shaped: model.shaped(&shape), capture, model, poses })
+    }
+
+    /// See [`shading`]; at this place among the views.
+    fn shading(&self, place: usize) -> Plane {
+        let mut vertices = Vec::new();
+        self.model.vertices(&self.shaped, &self.poses[place].pose(&self.model), &mut vertices);
+        let (surface, triangles) = self.model.surface(&vertices);
+        shading(surface, triangles, &self.capture.views()[place].camera)
     }
 }
 

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use glam::{EulerRot, Quat};
 use serde_json::Value;
-use srflow_avatar::capture::Capture;
 use srflow_core::{Image, Plane};
 use srflow_files::{FileKind, read_text};
 use srflow_head::PoseParameters;
@@ -12,7 +11,7 @@ use srflow_report::html::{Film, Page, Section, facts, films, tiles};
 use srflow_report::shrink_image;
 
 use super::mesh_picture::overlay;
-use super::{HEAD, VideoRecord, focal_text};
+use super::{FIT_NAME, FittedHead, HEAD, VideoRecord, focal_text};
 use crate::avatar::train::TrainedAvatar;
 use crate::machine;
 
@@ -36,19 +35,18 @@ pub fn page(
     video: &Path,
     out: &Path,
     record: &VideoRecord,
-    shadings: &[Plane],
+    head: &FittedHead,
     trained: &TrainedAvatar,
 ) -> anyhow::Result<Page> {
-    let capture = Capture::read(&out.join(HEAD))?;
-    let poses = capture.parameters()?.poses;
-    let fit: Value = serde_json::from_str(&read_text(&out.join(HEAD).join("fit.json"), FileKind::Json)?)?;
-    let shown: Vec<usize> = (0..shadings.len()).step_by(shadings.len().div_ceil(FRAMES).max(1)).collect();
+    let FittedHead { capture, poses, .. } = head;
+    let fit: Value = serde_json::from_str(&read_text(&out.join(HEAD).join(FIT_NAME), FileKind::Json)?)?;
+    let shown: Vec<usize> = (0..poses.len()).step_by(poses.len().div_ceil(FRAMES).max(1)).collect();
     let mut overlays = Vec::new();
     let mut cut_out = Vec::new();
     for &place in &shown {
         let view = &capture.views()[place];
         let image = capture.image(view)?;
-        overlays.push(shrink_image(&overlay(&image, &shadings[place]), WIDTH));
+        overlays.push(shrink_image(&overlay(&image, &head.shading(place)), WIDTH));
         if let Some(mask) = capture.mask(view)? {
             cut_out.push(shrink_image(&over_white(&image, &mask), WIDTH));
         }
@@ -79,7 +77,7 @@ pub fn page(
             format!("{:.1} standard deviations", number("/reach/largest_identity")),
         ),
     ];
-    let reach = Motion::of(&poses);
+    let reach = Motion::of(poses);
     known.extend(reach.facts());
     let mut numbers = vec![
         (record.chosen.to_string(), format!("of {} frames", record.frames)),

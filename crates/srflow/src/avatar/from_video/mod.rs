@@ -114,7 +114,7 @@ const REPORT_NAME: &str = "report.html";
 /// The contents of `video.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct VideoRecord {
-    /// Settings that determine the capture.
+    /// Settings that determine the avatar.
     settings: Value,
     /// Frames of the video.
     frames: u64,
@@ -192,7 +192,7 @@ impl Job for FromVideoJob {
 }
 
 impl FromVideoJob {
-    /// Settings that determine the capture, and the video's size in bytes.
+    /// Settings that determine the avatar, and the video's size in bytes.
     fn determining(&self) -> anyhow::Result<Value> {
         let bytes = srflow_files::open_file(&self.video, FileKind::Video)?.1;
         Ok(serde_json::json!({
@@ -203,6 +203,8 @@ impl FromVideoJob {
             "focal": self.focal,
             "eye_distance": self.eye_distance,
             "face_index": self.face_index,
+            "config": self.config,
+            "iterations": self.iterations,
         }))
     }
 
@@ -216,7 +218,7 @@ impl FromVideoJob {
             return Ok(None);
         }
         if self.force {
-            for folder in [HEAD, AVATAR] {
+            for folder in [MASKS, HEAD, AVATAR] {
                 let folder = self.out.join(folder);
                 if folder.exists() {
                     std::fs::remove_dir_all(&folder)

@@ -132,7 +132,7 @@ pub enum FocalSource {
     Given,
     /// The camera wrote it into the video.
     Recorded,
-    /// The usual one of phones and notebooks, see [`USUAL_FOCAL`].
+    /// The usual one of phones and notebooks: 1.1 longer sides of the frame.
     Assumed,
 }
 

@@ -3,9 +3,9 @@
     pip install ai-edge-litert==2.3.0
     python tools/parity/face.py fixture crates/face/tests/golden
 
-writes small made-up networks with every operation of MediaPipe's networks for faces (`operations.tflite`) and for persons
-(`person_operations.tflite`), at odd sizes, and what LiteRT's interpreter computes with them for a made-up picture
-(`.safetensors` of the same names).
+writes small made-up networks with every operation of MediaPipe's networks for faces (`operations.tflite`), for persons
+(`person_operations.tflite`) and for blend shapes (`shape_operations.tflite`), at odd sizes, and what LiteRT's interpreter computes
+with them for a made-up picture (`.safetensors` of the same names).
 
     pip install mediapipe==0.10.21
     python tools/parity/face.py person crates/face/tests/golden
@@ -16,6 +16,11 @@ writes every fourth pixel of the mask that MediaPipe's SelfieSegmentation gives 
 
 prints how far the 68 points that srflow found in pictures (`srflow flow PICTURE PICTURE --face detect`) are from those of MediaPipe's own
 FaceMesh, in pixels.
+
+    python tools/parity/face.py landmarker face_landmarker.task FACE.csv PICTURE...
+
+prints how far the points and blend shapes that srflow found in pictures (`srflow face PICTURE... -o FACE.csv --points mesh
+--blendshapes --face-models face_landmarker.task`) are from those of MediaPipe's own face landmarker.
 """
 
 import struct
@@ -86,10 +91,12 @@ class Graph:
         values = np.array(values, np.int32)
         return self.tensor(name, values.shape, self.schema.TensorType.INT32, values)
 
-    def convolution(self, x, shape, name, kernel, inputs, outputs, stride, padding, gain=1):
+    def convolution(self, x, shape, name, kernel, inputs, outputs, stride, padding, gain=1, activation=0):
         scale = gain * (kernel * kernel * inputs) ** -0.5
         weight = self.weights(f"{name}.weight", [outputs, kernel, kernel, inputs], scale)
-        made = self.options("Conv2DOptionsT", strideW=stride, strideH=stride, padding=padding)
+        made = self.options(
+            "Conv2DOptionsT", strideW=stride, strideH=stride, padding=padding, fusedActivationFunction=activation
+        )
         bias = self.weights(f"{name}.bias", [outputs], 0.1)
         return self.operation(self.kinds.CONV_2D, [x, weight, bias], shape, made, name)
 
@@ -208,11 +215,60 @@ def person_network(custom):
     return g.pack([mask, spread, near])
 
 
+def shapes_network():
+    g = Graph()
+    kinds, SAME, VALID = g.kinds, g.SAME, g.VALID
+    relu = g.schema.ActivationFunctionType.RELU
+    keep = lambda: g.options("ReducerOptionsT", keepDims=True)
+
+    def reduced(kind, x, axes, shape):
+        return g.operation(kind, [x, g.whole("axes", axes)], shape, keep())
+
+    def sliced(x, name, begin, end, shape, **masks):
+        bounds = [g.whole(f"{name}.{bound}", values) for bound, values in (("begin", begin), ("end", end))]
+        strides = g.whole(f"{name}.strides", [1] * len(begin))
+        return g.operation(kinds.STRIDED_SLICE, [x, *bounds, strides], shape, g.options("StridedSliceOptionsT", **masks))
+
+    x = g.convolution(g.picture, [1, 7, 9, 6], "enter", 3, 3, 6, 2, SAME, gain=8, activation=relu)
+    # Layer normalization.
+    mean = reduced(kinds.MEAN, x, [3], [1, 7, 9, 1])
+    negative = g.operation(kinds.NEG, [mean], [1, 7, 9, 1], g.options("NegOptionsT"))
+    squares = g.operation(kinds.SQUARED_DIFFERENCE, [x, mean], [1, 7, 9, 6], g.options("SquaredDifferenceOptionsT"))
+    variance = reduced(kinds.MEAN, squares, [-1], [1, 7, 9, 1])
+    variance = g.operation(kinds.ADD, [variance, g.weights("little", [], 0.1)], [1, 7, 9, 1], g.options("AddOptionsT"))
+    root = g.operation(kinds.RSQRT, [variance], [1, 7, 9, 1])
+    gain = g.operation(kinds.MUL, [root, g.weights("gain", [6], 1)], [1, 7, 9, 6], g.options("MulOptionsT"))
+    y = g.operation(kinds.MUL, [x, gain], [1, 7, 9, 6], g.options("MulOptionsT"))
+    shift = g.operation(kinds.MUL, [negative, gain], [1, 7, 9, 6], g.options("MulOptionsT"))
+    y = g.operation(kinds.ADD, [y, shift], [1, 7, 9, 6], g.options("AddOptionsT"))
+
+    across = g.operation(kinds.TRANSPOSE, [y, g.whole("order", [0, 1, 3, 2])], [1, 7, 6, 9], g.options("TransposeOptionsT"))
+    mixed = g.convolution(across, [1, 7, 6, 4], "mix", 1, 9, 4, 1, VALID, activation=relu)
+
+    square = g.operation(kinds.MUL, [y, y], [1, 7, 9, 6], g.options("MulOptionsT"))
+    length = g.operation(kinds.SQRT, [reduced(kinds.SUM, square, [1, 2], [1, 1, 1, 6])], [1, 1, 1, 6])
+    z = g.operation(kinds.DIV, [y, length], [1, 7, 9, 6], g.options("DivOptionsT"))
+    token = g.weights("token", [1, 7, 1, 6], 1)
+    z = g.operation(kinds.CONCATENATION, [token, z], [1, 7, 10, 6], g.options("ConcatenationOptionsT", axis=2))
+    part = sliced(z, "part", [0, 1, 3, 0], [1, 6, -1, 0], [1, 5, 9, 6], beginMask=0b0101, endMask=0b1000)
+
+    points = g.operation(kinds.RESHAPE, [part, g.whole("points", [1, -1, 6])], [1, 45, 6], g.options("ReshapeOptionsT"))
+    middle = reduced(kinds.MEAN, points, [1], [1, 1, 6])
+    centred = g.operation(kinds.SUB, [points, middle], [1, 45, 6], g.options("SubOptionsT"))
+    row = sliced(centred, "row", [0, 7, 0], [1, 8, 6], [6], shrinkAxisMask=0b011)
+    return g.pack([mixed, centred, row])
+
+
 def fixture(folder):
     folder.mkdir(parents=True, exist_ok=True)
     network = faces_network()
     (folder / "operations.tflite").write_bytes(network)
     write_safetensors(folder / "operations.safetensors", dict(zip(["rows", "last"], computed(network), strict=True)))
+
+    network = shapes_network()
+    (folder / "shape_operations.tflite").write_bytes(network)
+    names = ["mixed", "centred", "row"]
+    write_safetensors(folder / "shape_operations.safetensors", dict(zip(names, computed(network), strict=True)))
 
     (folder / "person_operations.tflite").write_bytes(person_network(custom=True))
     found = computed(person_network(custom=False))
@@ -273,8 +329,31 @@ def compare(landmarks, pictures):
         print(f"{picture}: mean {distance.mean():.3f} px, largest {distance.max():.3f} px")
 
 
+def landmarker(task, faces, pictures):
+    import csv
+
+    import mediapipe
+
+    vision = mediapipe.tasks.vision
+    options = vision.FaceLandmarkerOptions(
+        base_options=mediapipe.tasks.BaseOptions(model_asset_path=task), output_face_blendshapes=True
+    )
+    with vision.FaceLandmarker.create_from_options(options) as network:
+        for row, picture in zip(csv.DictReader(open(faces)), pictures, strict=True):
+            frame = mediapipe.Image.create_from_file(picture)
+            found = network.detect(frame)
+            size = np.array([frame.width, frame.height])
+            theirs = np.array([[point.x, point.y] for point in found.face_landmarks[0]]) * size - 0.5
+            ours = np.array([[float(row[f"x_{n}"]), float(row[f"y_{n}"])] for n in range(478)])
+            distance = np.linalg.norm(ours - theirs, axis=1)
+            shapes = max(abs(float(row[shape.category_name]) - shape.score) for shape in found.face_blendshapes[0])
+            print(f"{picture}: mean {distance.mean():.3f} px, largest {distance.max():.3f} px; blend shapes {shapes:.4f}")
+
+
 if __name__ == "__main__":
     match sys.argv[1:]:
+        case ["landmarker", task, faces, *pictures]:
+            landmarker(task, faces, pictures)
         case ["fixture", folder]:
             fixture(Path(folder))
         case ["person", folder]:

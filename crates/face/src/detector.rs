@@ -1,4 +1,4 @@
-//! MediaPipe's short-range face detector, graph `face_detection_short_range`.
+//! MediaPipe's short-range face detector: graph `face_detection_short_range`, and that of its face landmarker, `FaceDetectorGraph`.
 
 use srflow_core::Image;
 
@@ -42,8 +42,8 @@ pub(crate) fn check(network: &Network) -> Result<(), String> {
     }
 }
 
-/// Height and width of the input.
-pub(crate) const INPUT: [usize; 2] = [SIDE, SIDE];
+/// Channels, height and width of the input.
+pub(crate) const INPUT: [usize; 3] = [3, SIDE, SIDE];
 
 /// Regions of the faces for the face mesh, and their scores, from the highest.
 ///
@@ -51,7 +51,7 @@ pub(crate) const INPUT: [usize; 2] = [SIDE, SIDE];
 /// When the network does not fit together.
 pub(crate) fn faces(network: &Network, frame: &Image) -> Result<Vec<(Region, f32)>, String> {
     let region = Region::of_frame(frame);
-    let outputs = network.run(&region.planes(frame, INPUT, [-1.0, 1.0], Beyond::Black))?;
+    let outputs = network.run(&region.planes(frame, [SIDE; 2], [-1.0, 1.0], Beyond::Black))?;
     let [regressors, scores] = outputs.as_slice() else {
         return Err(format!("expected two outputs, found {}", outputs.len()));
     };

@@ -2,25 +2,59 @@ use std::path::Path;
 
 use srflow_core::Image;
 
+use crate::blendshapes::{self, BlendShapes};
 use crate::model::Model;
 use crate::points::FacePoints;
 use crate::tflite::Network;
 use crate::{FaceBox, FaceError, ModelError, detector, mesh};
 
-const DETECTOR: Model = Model {
-    name: "face_detection_short_range.tflite",
-    folder: "face_detection",
-    input: detector::INPUT,
-    check: detector::check,
+/// The networks for faces that come together.
+struct Package {
+    detector: Model,
+    mesh: Model,
+    blend_shapes: Option<Model>,
+}
+
+/// Those of the Python package.
+const SOLUTIONS: Package = Package {
+    detector: Model {
+        name: "face_detection_short_range.tflite",
+        folder: "face_detection",
+        input: detector::INPUT,
+        check: detector::check,
+    },
+    mesh: Model {
+        name: "face_landmark.tflite",
+        folder: "face_landmark",
+        input: [3, 192, 192],
+        check: mesh::check::<468>,
+    },
+    blend_shapes: None,
 };
-const MESH: Model =
-    Model { name: "face_landmark.tflite", folder: "face_landmark", input: mesh::INPUT, check: mesh::check };
+
+/// Those in `face_landmarker.task`, an archive.
+const LANDMARKER: Package = Package {
+    detector: Model {
+        name: "face_detector.tflite",
+        folder: "face_landmarker",
+        input: detector::INPUT,
+        check: detector::check,
+    },
+    mesh: Model {
+        name: "face_landmarks_detector.tflite",
+        folder: "face_landmarker",
+        input: [3, 256, 256],
+        check: mesh::check::<478>,
+    },
+    blend_shapes: Some(blendshapes::MODEL),
+};
 
 /// Finds faces and their points.
 #[derive(Debug, Clone)]
 pub struct FaceFinder {
     detector: Network,
     mesh: Network,
+    blend_shapes: Option<Network>,
 }
 
 /// A face in a frame.
@@ -28,7 +62,7 @@ pub struct FaceFinder {
 pub struct Face {
     /// The detector's score, 0.5 to 1.
     pub score: f32,
-    /// The 468 points of the face mesh, pixels.
+    /// The 468 points of the face mesh, pixels; with the face landmarker's networks 478, of which the last ten are those of the irises.
     pub mesh: Vec<[f64; 2]>,
     /// Those that are nearest to dlib's 68.
     pub points: FacePoints,
@@ -50,13 +84,38 @@ impl Face {
 }
 
 impl FaceFinder {
-    /// Reads the networks from MediaPipe's package: its wheel, its folder, or any folder with `face_detection_short_range.tflite` and
-    /// `face_landmark.tflite`.
+    /// Reads the networks from `face_landmarker.task` or its folder, or from MediaPipe's package: its wheel, its folder, or any folder with
+    /// `face_detection_short_range.tflite` and `face_landmark.tflite`.
     ///
     /// # Errors
     /// When a file is missing, damaged, or another network.
     pub fn read(path: &Path) -> Result<Self, FaceError> {
-        Ok(Self { detector: DETECTOR.read(path)?, mesh: MESH.read(path)? })
+        let package = if LANDMARKER.mesh.is_in(path) { LANDMARKER } else { SOLUTIONS };
+        Ok(Self {
+            detector: package.detector.read(path)?,
+            mesh: package.mesh.read(path)?,
+            blend_shapes: package.blend_shapes.map(|model| model.read(path)).transpose()?,
+        })
+    }
+
+    /// Number of points of the mesh, 468 or 478.
+    pub fn mesh_points(&self) -> usize {
+        self.mesh.output_lens()[0] / 3
+    }
+
+    /// Whether [`Self::blend_shapes`] has them.
+    pub fn has_blend_shapes(&self) -> bool {
+        self.blend_shapes.is_some()
+    }
+
+    /// How far a face shows each of [`BLEND_SHAPES`](crate::BLEND_SHAPES), 0 to 1; `None` without the face landmarker's networks.
+    ///
+    /// # Errors
+    /// When the networks do not fit together.
+    pub fn blend_shapes(&self, face: &Face) -> Result<Option<BlendShapes>, FaceError> {
+        let Some(network) = &self.blend_shapes else { return Ok(None) };
+        let failed = |problem: String| ModelError { path: blendshapes::MODEL.name.into(), problem };
+        Ok(Some(blendshapes::of_mesh(network, &face.mesh).map_err(failed)?))
     }
 
     /// All faces of a frame, from left to right.
@@ -67,7 +126,7 @@ impl FaceFinder {
         if frame.pixels().is_empty() {
             return Ok(Vec::new());
         }
-        let failed = |problem: String| ModelError { path: DETECTOR.name.into(), problem };
+        let failed = |problem: String| ModelError { path: "MediaPipe's networks for faces".into(), problem };
         let mut faces: Vec<Face> = Vec::new();
         for (region, score) in detector::faces(&self.detector, frame).map_err(failed)? {
             let Some(mesh) = mesh::points(&self.mesh, frame, &region).map_err(failed)? else { continue };

@@ -21,8 +21,8 @@ pub(crate) struct Model {
     pub(crate) name: &'static str,
     /// The folder of the file below `modules` of the package.
     pub(crate) folder: &'static str,
-    /// Height and width of its input.
-    pub(crate) input: [usize; 2],
+    /// Channels, height and width of its input.
+    pub(crate) input: [usize; 3],
     /// What else tells it from other networks: a sentence with what was expected and found.
     pub(crate) check: fn(&Network) -> Result<(), String>,
 }
@@ -35,16 +35,29 @@ impl Model {
     pub(crate) fn read(&self, path: &Path) -> Result<Network, FaceError> {
         let (bytes, found) = self.bytes(path)?;
         let network = Network::parse(&bytes).and_then(|network| {
-            let [height, width] = network.input();
-            if [height, width] != self.input {
-                return Err(format!(
-                    "expected a network for {}x{} pixels, found {width}x{height}",
-                    self.input[1], self.input[0]
-                ));
+            if network.input() != self.input {
+                let [expected, found] = [self.input, network.input()].map(|[channels, height, width]| {
+                    format!("{width}x{height} pixels of {channels} channels")
+                });
+                return Err(format!("expected a network for {expected}, found {found}"));
             }
             (self.check)(&network).map(|()| network)
         });
         network.map_err(|problem| ModelError { path: found, problem }.into())
+    }
+
+    /// Whether its file is in a package, as far as that can be read.
+    pub(crate) fn is_in(&self, path: &Path) -> bool {
+        if path.is_dir() {
+            return self.places(path).iter().any(|file| file.exists());
+        }
+        let zip = read_file(path, FileKind::Network).ok().and_then(|bytes| open_zip(bytes).ok());
+        zip.is_some_and(|zip| zip_entry_named(&zip, self.name).is_some())
+    }
+
+    /// Where the file may be below a folder.
+    fn places(&self, folder: &Path) -> [PathBuf; 2] {
+        [folder.join(self.name), folder.join("modules").join(self.folder).join(self.name)]
     }
 
     /// The bytes of the network, and the file that they are from.
@@ -55,8 +68,7 @@ impl Model {
             problem: format!("expected {MODEL_SOURCES}, or a folder with its files; found {found}"),
         };
         if path.is_dir() {
-            let places = [path.join(name), path.join("modules").join(self.folder).join(name)];
-            let Some(file) = places.into_iter().find(|file| file.exists()) else {
+            let Some(file) = self.places(path).into_iter().find(|file| file.exists()) else {
                 return Err(missing(format!("no {name}")).into());
             };
             return Ok((read_file(&file, FileKind::Network)?, file));

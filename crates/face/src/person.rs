@@ -11,8 +11,12 @@ use crate::tflite::Network;
 use crate::{FaceError, ModelError};
 
 /// The general network, which sees a square; `selfie_segmentation_landscape.tflite` is another.
-const MODEL: Model =
-    Model { name: "selfie_segmentation.tflite", folder: "selfie_segmentation", input: [SIDE, SIDE], check };
+const MODEL: Model = Model {
+    name: "selfie_segmentation.tflite",
+    folder: "selfie_segmentation",
+    input: [3, SIDE, SIDE],
+    check,
+};
 /// Side of input and output in pixels.
 const SIDE: usize = 256;
 

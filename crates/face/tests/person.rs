@@ -70,5 +70,9 @@ fn networks_that_are_missing_damaged_or_others_are_refused() {
     let damaged = refused();
     assert!(damaged.contains(FILE) && damaged.contains("the file is damaged at byte"), "{damaged}");
     fs::write(folder.join(FILE), &other).unwrap();
-    assert!(refused().contains("expected a network for 256x256 pixels, found 18x13"), "{}", refused());
+    assert!(
+        refused().contains("expected a network for 256x256 pixels of 3 channels, found 18x13 pixels"),
+        "{}",
+        refused()
+    );
 }

@@ -227,7 +227,7 @@ def flow(
         shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
         face_index: Face to use if there are several; 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
@@ -265,6 +265,39 @@ def flow(
         settings[name] = _listed(settings[name])
     settings["lambda"] = settings.pop("lambda_")
     return _run("flow", settings)
+
+
+def face(
+    frames: Path | Sequence[Path],
+    out: Path,
+    *,
+    points: str = "dlib",
+    blendshapes: bool = False,
+    viz: Path | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
+    fps: float | None = None,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Write the landmarks of a face in each frame.
+
+    Args:
+        frames: A video, a folder of frames, or frames.
+        out: CSV file to write.
+        points: Points: dlib (68) or mesh (MediaPipe's 468; 478 with the irises from face_landmarker.task).
+        blendshapes: Also write MediaPipe's 52 blend shapes; needs face_landmarker.task.
+        viz: Draw the points into frames: a video, or a folder of PNGs.
+        face_index: Face to follow if there are several; 1 is the leftmost.
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        fps: Frames per second [default: those of the video; without any, there are no timestamps].
+        force: Overwrite existing files.
+        callback: Called with progress.
+    """
+    settings = locals()
+    for name in ("frames",):
+        settings[name] = _listed(settings[name])
+    return _run("face", settings)
 
 
 def metrics(
@@ -750,7 +783,7 @@ def eval(
         shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
         face_index: Face to use if there are several; 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         rows: Methods with their names and weights: a TOML file, or one of paper-table-2, paper-table-3, paper-table-4, paper-table-6, paper-tables-7-to-10.
@@ -1511,7 +1544,7 @@ def mer_apex(
         only_key_frames: Accept clips that contain only the onset, apex and offset frames.
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
         face_index: Face to use if there are several; 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
@@ -1611,7 +1644,7 @@ def mer_spot(
         macro_score: Spot macro-expressions that stand out from noise by this factor.
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
         face_index: Face to use if there are several; 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
@@ -1724,7 +1757,7 @@ def mer_predict(
         macro_score: Spot macro-expressions that stand out from noise by this factor.
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
         face_index: Face to use if there are several; 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
@@ -1860,7 +1893,7 @@ def mer_strain(
         force: Overwrite existing files.
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
         face_index: Face to use if there are several; 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
@@ -1972,7 +2005,7 @@ def mer_features(
         head_motion: The head's motion in the flow: keep or subtract [default: the protocol's].
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
         face_index: Face to use if there are several; 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         refine: Refine the flow of every method with TV-L1 at full size; one scale and one warp, unless --nscales and --warps are set; the other parameters of tvl1 apply too.
@@ -2111,7 +2144,7 @@ def mer_run(
         head_motion: The head's motion in the flow: keep or subtract [default: the protocol's].
         face: Find the face with MediaPipe's networks, and write its landmarks next to the results; pass that file to `--landmarks` to repeat the run without the networks.
         face_index: Face to use if there are several; 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         face_box: Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels.
         landmarks: Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/guides/faces.md).
         rows: Methods with their names and weights: a TOML file, or one of paper-table-2, paper-table-3, paper-table-4, paper-table-6, paper-tables-7-to-10.
@@ -2173,4 +2206,4 @@ def mer_tables(
     return _run("mer tables", settings)
 
 
-__all__ = ["ablation", "avatar_capture", "avatar_eval", "avatar_export", "avatar_fit", "avatar_from_video", "avatar_import", "avatar_mesh", "avatar_train", "avatar_units", "check", "convert", "demo", "device", "device_network", "device_rasterizer", "eval", "figure", "flow", "mer_apex", "mer_data", "mer_features", "mer_predict", "mer_run", "mer_spot", "mer_spot_score", "mer_strain", "mer_synth", "mer_synth_long", "mer_tables", "merge", "metrics", "models", "models_export", "models_inspect", "pack", "rasterize", "render", "shapes", "train", "view"]
+__all__ = ["ablation", "avatar_capture", "avatar_eval", "avatar_export", "avatar_fit", "avatar_from_video", "avatar_import", "avatar_mesh", "avatar_train", "avatar_units", "check", "convert", "demo", "device", "device_network", "device_rasterizer", "eval", "face", "figure", "flow", "mer_apex", "mer_data", "mer_features", "mer_predict", "mer_run", "mer_spot", "mer_spot_score", "mer_strain", "mer_synth", "mer_synth_long", "mer_tables", "merge", "metrics", "models", "models_export", "models_inspect", "pack", "rasterize", "render", "shapes", "train", "view"]

@@ -4,8 +4,8 @@ use serde_json::{Map, Value};
 
 use crate::settings::from_json;
 use crate::{
-    Error, FollowUp, Job, Report, Watch, ablation, avatar, check, convert, demo, device, eval, figure, flow,
-    mer, merge, metrics, models, pack, rasterize, render, shapes, train, view,
+    Error, FollowUp, Job, Report, Watch, ablation, avatar, check, convert, demo, device, eval, face, figure,
+    flow, mer, merge, metrics, models, pack, rasterize, render, shapes, train, view,
 };
 
 /// A job that is known by its name.
@@ -48,6 +48,7 @@ jobs![
     render::RenderJob,
     shapes::ShapesJob,
     flow::FlowJob,
+    face::FaceJob,
     metrics::MetricsJob,
     convert::ConvertJob,
     rasterize::RasterizeJob,

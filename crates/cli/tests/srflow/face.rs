@@ -95,14 +95,14 @@ fn networks_that_are_missing_or_others_are_refused() {
     fs::create_dir_all(dir.join("other")).unwrap();
     let model = dir.join("other/face_detection_short_range.tflite");
     fs::write(&model, other).unwrap();
-    refuses(&with("other"), 1, &["expected a network for 128x128 pixels, found 18x13"]);
+    refuses(&with("other"), 1, &["expected a network for 128x128 pixels of 3 channels, found 18x13"]);
     fs::write(&model, &other[..4000]).unwrap();
     refuses(&with("other"), 1, &["face_detection_short_range.tflite: the file is damaged at byte"]);
     assert!(!dir.join("flow.flo").exists());
 }
 
 /// MediaPipe's networks, if they are at hand.
-fn models() -> Option<PathBuf> {
+pub fn models() -> Option<PathBuf> {
     let named = std::env::var_os("SRFLOW_FACE_MODELS").map(PathBuf::from);
     let installed = || {
         let find = "import mediapipe; print(mediapipe.__path__[0])";
@@ -218,4 +218,59 @@ fn of_several_faces_one_is_chosen_and_none_is_said() {
         let size = read_flow(&dir.join("flow.flo")).unwrap().size();
         assert!(size.0 == size.1 && (100..300).contains(&size.0), "{size:?}");
     }
+}
+
+#[test]
+fn landmarks_of_frames_are_written_and_read_again() {
+    let Some(models) = models() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let synth =
+        ["mer", "synth", "--out", "set", "--subjects", "1", "--clips", "1", "--side", "224", "--fps", "40"];
+    succeeds(&srflow(dir, &synth));
+    let clip = dir.join("set/s01/c01");
+    let mut frames: Vec<PathBuf> = fs::read_dir(&clip).unwrap().map(|entry| entry.unwrap().path()).collect();
+    frames.sort();
+    fs::create_dir(dir.join("clip")).unwrap();
+    for (number, frame) in (7..).zip(&frames[..3]) {
+        fs::copy(frame, dir.join(format!("clip/{number}.png"))).unwrap();
+    }
+    let grey = Image::from_fn(224, 224, |x, y| [(x / 2) as u8, (y / 2) as u8, 90]);
+    write_image_png(&dir.join("clip/10.png"), &grey).unwrap();
+    let models = models.to_str().unwrap();
+    let face =
+        |input: &str, more: &[&str]| srflow(dir, &[&["face", input, "--face-models", models], more].concat());
+    let report = json(&face("clip", &["-o", "face.csv", "--fps", "50", "--viz", "drawn", "--json"]));
+    assert_eq!((&report["frames"], &report["with_face"]), (&4.into(), &3.into()));
+    let text = fs::read_to_string(dir.join("face.csv")).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    assert!(
+        lines[0].starts_with("frame,timestamp,success,confidence,x_0,") && lines[0].ends_with(",y_67"),
+        "{text}"
+    );
+    assert!(lines[2].starts_with("8,0.0200,1,0."), "{}", lines[2]);
+    assert!(lines[4].starts_with("10,0.0600,0,0,,"), "{}", lines[4]);
+    let (plain, drawn) =
+        (read_image(&dir.join("clip/8.png")).unwrap(), read_image(&dir.join("drawn/8.png")).unwrap());
+    let changed = plain.pixels().iter().zip(drawn.pixels()).filter(|(a, b)| a != b).count();
+    assert!((200..=68 * 9).contains(&changed), "{changed}");
+
+    // Other commands read the file, and find the same face as by themselves.
+    let flow = |out: &str, more: &[&str]| {
+        let arguments = ["flow", "clip/7.png", "clip/8.png", "--method", "farneback", "-o", out];
+        succeeds(&srflow(dir, &[&arguments, more].concat()))
+    };
+    flow("given.flo", &["--landmarks", "face.csv"]);
+    flow("found.flo", &["--face", "detect", "--face-models", models]);
+    let sizes = ["given.flo", "found.flo"].map(|file| read_flow(&dir.join(file)).unwrap().size());
+    assert_eq!(sizes[0], sizes[1]);
+
+    let mesh = json(&face("clip/7.png", &["-o", "mesh.csv", "--points", "mesh", "--json"]));
+    assert_eq!(mesh["with_face"], 1);
+    assert!(fs::read_to_string(dir.join("mesh.csv")).unwrap().starts_with("frame,success,confidence,x_0,"));
+    refuses(&face("clip", &["-o", "face.csv"]), 1, &["face.csv exists", "--force"]);
+    refuses(&face("clip", &["-o", "face.txt"]), 2, &["face.txt", ".csv"]);
+    refuses(&face("clip", &["-o", "b.csv", "--fps", "0"]), 2, &["--fps"]);
+    refuses(&face("clip", &["-o", "b.csv", "--blendshapes"]), 2, &["--blendshapes", "face_landmarker.task"]);
+    refuses(&face("clip/10.png", &["-o", "none.csv"]), 1, &["no face was found in any frame"]);
 }

@@ -10,6 +10,7 @@ mod architecture;
 mod avatar;
 mod avatar_eval;
 mod avatar_files;
+mod avatar_from_video;
 mod avatar_train;
 mod capture;
 mod clusters;

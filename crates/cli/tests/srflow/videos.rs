@@ -11,7 +11,7 @@ use srflow_splat::{Gaussians, write_ply};
 use crate::{fails, succeeds};
 
 /// Whether `ffmpeg` and `ffprobe` are on the PATH.
-fn programs_exist() -> bool {
+pub fn programs_exist() -> bool {
     let missing = ["ffmpeg", "ffprobe"].into_iter().find(|program| {
         let run = Command::new(program).arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status();
         !run.is_ok_and(|status| status.success())

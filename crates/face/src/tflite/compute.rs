@@ -1,150 +1,63 @@
 //! What the operations compute.
 
+use srflow_ops::Activation;
 use srflow_ops::MapShape;
 use srflow_ops::conv2d::{Epilogue, conv2d, conv2d_backward_input};
 use srflow_ops::convolution::Conv2dShape;
 use srflow_ops::depthwise::depthwise;
 use srflow_ops::resize::resize;
 
-use super::MAX_NUMBERS;
+use super::element_wise::{concatenated, reshaped, sliced, transposed};
+use super::map::{Map, checked};
 use super::operation::{Convolution, Edges, Operation, Window};
 
 /// More additions are in no average of a network for persons.
 const MAX_ADDITIONS: usize = 1 << 30;
 
-/// What stands between two operations.
-#[derive(Debug, Clone)]
-pub(super) enum Value {
-    /// Planes of channels, rows, columns.
-    Map { shape: [usize; 3], numbers: Vec<f32> },
-    /// Rows of as many numbers, where TFLite's order matters.
-    Rows { width: usize, numbers: Vec<f32> },
-}
-
-impl Value {
-    pub(super) fn map(shape: [usize; 3], numbers: Vec<f32>) -> Result<Self, String> {
-        let expected: usize = shape.iter().product();
-        if numbers.len() != expected {
-            return Err(format!("expected {expected} numbers, found {}", numbers.len()));
-        }
-        Ok(Self::Map { shape, numbers })
-    }
-
-    pub(super) fn len(&self) -> usize {
-        match self {
-            Self::Map { numbers, .. } | Self::Rows { numbers, .. } => numbers.len(),
-        }
-    }
-
-    /// In TFLite's order: rows, columns, channels.
-    pub(super) fn rows(&self) -> Vec<f32> {
-        match self {
-            Self::Rows { numbers, .. } => numbers.clone(),
-            Self::Map { shape: [channels, height, width], numbers } => {
-                let pixels = height * width;
-                let at = |index: usize| numbers[(index % channels) * pixels + index / channels];
-                (0..numbers.len()).map(at).collect()
-            }
-        }
-    }
-}
-
 impl Operation {
-    pub(super) fn run(&self, inputs: &[&Value]) -> Result<Value, String> {
+    pub(super) fn run(&self, inputs: &[&Map]) -> Result<Map, String> {
         match (self, inputs) {
-            (Self::Convolution(convolution), [Value::Map { shape, numbers }]) => {
-                convolution.convolved(*shape, numbers)
-            }
-            (Self::Transposed(convolution), [Value::Map { shape, numbers }]) => {
-                convolution.transposed(*shape, numbers)
-            }
-            (Self::Depthwise(convolution), [Value::Map { shape, numbers }]) => {
-                convolution.depthwise(*shape, numbers)
-            }
-            (Self::Maximum(window), [Value::Map { shape, numbers }]) => {
-                let (padded, numbers) = window.padded(*shape, numbers, f32::NEG_INFINITY)?;
+            (Self::Convolution(convolution), [map]) => convolution.convolved(map.shape, &map.numbers),
+            (Self::Transposed(convolution), [map]) => convolution.transposed(map.shape, &map.numbers),
+            (Self::Depthwise(convolution), [map]) => convolution.depthwise(map.shape, &map.numbers),
+            (Self::Maximum(window), [map]) => {
+                let (padded, numbers) = window.padded(map.shape, &map.numbers, f32::NEG_INFINITY)?;
                 Ok(maxima(padded, &numbers, *window))
             }
-            (Self::Average(window), [Value::Map { shape, numbers }]) => averages(*shape, numbers, *window),
-            (Self::Add, [a, b]) => combined(a, b, |a, b| a + b),
-            (Self::Multiply, [a, b]) => combined(a, b, |a, b| a * b),
-            (Self::Relu, [value]) => each(value, |x| x.max(0.0)),
-            (Self::PRelu(slopes), [Value::Map { shape, numbers }]) => sloped(*shape, numbers, slopes),
-            (Self::HardSwish, [value]) => each(value, |x| x * (x + 3.0).clamp(0.0, 6.0) / 6.0),
-            (Self::Logistic, [value]) => each(value, |x| 1.0 / (1.0 + libm::expf(-x))),
-            (Self::Resize { size, grids }, [Value::Map { shape, numbers }]) => {
-                checked(*shape)?;
-                let [channels, height, width] = *shape;
+            (Self::Average(window), [map]) => averages(map.shape, &map.numbers, *window),
+            (Self::Unary(function), [map]) => Ok(function.of_map(map)),
+            (Self::Binary(function), [a, b]) => function.of_maps(a, b),
+            (Self::PRelu(slopes), [map]) => sloped(map.shape, &map.numbers, slopes),
+            (Self::Resize { size, grids }, [map]) => {
+                checked(map.shape)?;
+                let [channels, height, width] = map.shape;
                 let resized = [channels, size[0], size[1]];
                 checked(resized)?;
                 let shape = MapShape { batch: 1, channels, height, width };
-                Value::map(resized, resize(numbers, shape, *size, *grids))
+                Map::new(resized, resize(&map.numbers, shape, *size, *grids))
             }
-            (Self::Pad(zeros), [Value::Map { shape, numbers }]) => {
-                let (shape, numbers) = surrounded(*shape, numbers, *zeros, 0.0)?;
-                Value::map(shape, numbers)
+            (Self::Pad(zeros), [map]) => {
+                let (shape, numbers) = surrounded(map.shape, &map.numbers, *zeros, 0.0)?;
+                Map::new(shape, numbers)
             }
-            (Self::Reshape { width }, [value]) => {
-                if value.len() % width != 0 {
-                    return Err(format!("expected rows of {width}, found {} numbers", value.len()));
-                }
-                Ok(Value::Rows { width: *width, numbers: value.rows() })
-            }
-            (Self::Concatenate, parts) => concatenated(parts),
-            _ => Err(NO_MAP.to_owned()),
+            (Self::Reduce(reduction), [map]) => Ok(reduction.of_map(map)),
+            (Self::Transpose, [map]) => Ok(transposed(map)),
+            (Self::Slice(parts), [map]) => sliced(map, parts),
+            (Self::Reshape(shape), [map]) => reshaped(map, shape),
+            (Self::Concatenate { axis }, parts) => concatenated(parts, *axis),
+            (_, inputs) => Err(format!("expected another number of inputs, found {}", inputs.len())),
         }
     }
 }
 
-const NO_MAP: &str = "expected a map for each input";
-
-/// A function of each number of a map.
-fn each(value: &Value, function: impl Fn(f32) -> f32) -> Result<Value, String> {
-    match value {
-        Value::Map { shape, numbers } => Value::map(*shape, numbers.iter().map(|x| function(*x)).collect()),
-        Value::Rows { .. } => Err(NO_MAP.to_owned()),
-    }
-}
-
-/// A function of the numbers of two maps of one shape, or of those of a map and one number for each of its channels.
-fn combined(a: &Value, b: &Value, function: impl Fn(f32, f32) -> f32) -> Result<Value, String> {
-    let (Value::Map { shape, numbers: a }, Value::Map { shape: other, numbers: b }) = (a, b) else {
-        return Err(NO_MAP.to_owned());
-    };
-    let pairs = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| function(*a, *b)).collect();
-    let spread = |numbers: &[f32], [_, height, width]: [usize; 3]| -> Vec<f32> {
-        numbers.iter().flat_map(|number| std::iter::repeat_n(*number, height * width)).collect()
-    };
-    match (*shape, *other) {
-        (shape, other) if shape == other => Value::map(shape, pairs(a, b)),
-        (shape, [channels, 1, 1]) if channels == shape[0] => Value::map(shape, pairs(a, &spread(b, shape))),
-        ([channels, 1, 1], other) if channels == other[0] => Value::map(other, pairs(&spread(a, other), b)),
-        _ => Err(format!("expected maps of one shape, found {shape:?} and {other:?}")),
-    }
-}
-
-fn sloped(shape: [usize; 3], numbers: &[f32], slopes: &[f32]) -> Result<Value, String> {
+fn sloped(shape: [usize; 3], numbers: &[f32], slopes: &[f32]) -> Result<Map, String> {
     if slopes.len() != shape[0] {
         return Err(format!("expected a slope for each of {} channels, found {}", shape[0], slopes.len()));
     }
     let planes = numbers.chunks((shape[1] * shape[2]).max(1)).zip(slopes);
     let sloped = |x: &f32, slope: f32| if *x < 0.0 { x * slope } else { *x };
     let all = planes.flat_map(|(plane, slope)| plane.iter().map(move |x| sloped(x, *slope)));
-    Value::map(shape, all.collect())
-}
-
-fn concatenated(parts: &[&Value]) -> Result<Value, String> {
-    let mut all = Vec::new();
-    let mut common = None;
-    for part in parts {
-        match part {
-            Value::Rows { width, numbers } if *common.get_or_insert(*width) == *width => {
-                all.extend_from_slice(numbers);
-            }
-            _ => return Err("expected rows of one width".to_owned()),
-        }
-    }
-    Ok(Value::Rows { width: common.unwrap_or(1), numbers: all })
+    Map::new(shape, all.collect())
 }
 
 impl Convolution {
@@ -154,6 +67,11 @@ impl Convolution {
             true => Ok(()),
             false => Err(format!("expected weights for {channels} channels")),
         }
+    }
+
+    fn epilogue(&self) -> Epilogue<'_> {
+        let activation = if self.relu { Activation::Relu } else { Activation::Identity };
+        Epilogue { bias: Some(&self.bias), activation, ..Epilogue::default() }
     }
 
     /// Of a map whose edges are those that the window needs.
@@ -170,30 +88,28 @@ impl Convolution {
         }
     }
 
-    fn convolved(&self, shape: [usize; 3], numbers: &[f32]) -> Result<Value, String> {
+    fn convolved(&self, shape: [usize; 3], numbers: &[f32]) -> Result<Map, String> {
         let channels = shape[0];
         self.check(channels, self.outputs)?;
         let ([_, height, width], numbers) = self.window.padded(shape, numbers, 0.0)?;
         let shape = self.shape(channels, [height, width]);
         let [height, width] = checked([self.outputs, shape.output()[0], shape.output()[1]])?;
-        let epilogue = Epilogue { bias: Some(&self.bias), ..Epilogue::default() };
-        Value::map([self.outputs, height, width], conv2d(&numbers, &self.weights, &epilogue, &shape))
+        Map::new([self.outputs, height, width], conv2d(&numbers, &self.weights, &self.epilogue(), &shape))
     }
 
-    fn depthwise(&self, shape: [usize; 3], numbers: &[f32]) -> Result<Value, String> {
+    fn depthwise(&self, shape: [usize; 3], numbers: &[f32]) -> Result<Map, String> {
         let channels = shape[0];
         self.check(channels, 1)?;
         let ([_, height, width], numbers) = self.window.padded(shape, numbers, 0.0)?;
         let shape = self.shape(channels, [height, width]);
         let shape = Conv2dShape { groups: channels, stride: [1, 1], ..shape };
         let [height, width] = checked([channels, shape.output()[0], shape.output()[1]])?;
-        let epilogue = Epilogue { bias: Some(&self.bias), ..Epilogue::default() };
-        let every = depthwise(&numbers, &self.weights, &epilogue, &shape);
+        let every = depthwise(&numbers, &self.weights, &self.epilogue(), &shape);
         Ok(strided([channels, height, width], &every, self.window.stride))
     }
 
     /// Each pixel adds its multiple of the kernel to the output, which is the gradient of a convolution; then the edges are cut off.
-    fn transposed(&self, shape: [usize; 3], numbers: &[f32]) -> Result<Value, String> {
+    fn transposed(&self, shape: [usize; 3], numbers: &[f32]) -> Result<Map, String> {
         checked(shape)?;
         let [channels, height, width] = shape;
         self.check(channels, self.outputs)?;
@@ -215,16 +131,7 @@ impl Convolution {
             let rows = rows.clone().map(|row| &plane[row * whole[1]..][columns.clone()]);
             out.extend(rows.flatten().map(|sum| sum + bias));
         }
-        Value::map([self.outputs, rows.len(), columns.len()], out)
-    }
-}
-
-/// Height and width of a map of sane size.
-fn checked(shape: [usize; 3]) -> Result<[usize; 2], String> {
-    let len = shape.iter().try_fold(1_usize, |len, size| len.checked_mul(*size));
-    match len {
-        Some(1..=MAX_NUMBERS) => Ok([shape[1], shape[2]]),
-        _ => Err(format!("expected a map of at most {MAX_NUMBERS} numbers, found {shape:?}")),
+        Map::new([self.outputs, rows.len(), columns.len()], out)
     }
 }
 
@@ -281,14 +188,14 @@ fn surrounded(
 }
 
 /// Every stride-th pixel of a map.
-fn strided([channels, height, width]: [usize; 3], numbers: &[f32], [down, across]: [usize; 2]) -> Value {
+fn strided([channels, height, width]: [usize; 3], numbers: &[f32], [down, across]: [usize; 2]) -> Map {
     let shape = [channels, height.div_ceil(down), width.div_ceil(across)];
     let rows = numbers.chunks(width.max(1)).enumerate().filter(|(row, _)| row % height % down == 0);
     let numbers = rows.flat_map(|(_, row)| row.iter().step_by(across)).copied().collect();
-    Value::Map { shape, numbers }
+    Map { shape, numbers }
 }
 
-fn maxima([channels, height, width]: [usize; 3], numbers: &[f32], window: Window) -> Value {
+fn maxima([channels, height, width]: [usize; 3], numbers: &[f32], window: Window) -> Map {
     let ([kh, kw], [sh, sw]) = (window.kernel, window.stride);
     let (out_height, out_width) = ((height - kh) / sh + 1, (width - kw) / sw + 1);
     let mut out = Vec::with_capacity(channels * out_height * out_width);
@@ -298,10 +205,10 @@ fn maxima([channels, height, width]: [usize; 3], numbers: &[f32], window: Window
             out.push(rows.copied().fold(f32::NEG_INFINITY, f32::max));
         }
     }
-    Value::Map { shape: [channels, out_height, out_width], numbers: out }
+    Map { shape: [channels, out_height, out_width], numbers: out }
 }
 
-fn averages(shape: [usize; 3], numbers: &[f32], window: Window) -> Result<Value, String> {
+fn averages(shape: [usize; 3], numbers: &[f32], window: Window) -> Result<Map, String> {
     checked(shape)?;
     let sides = window.sides(shape)?;
     // The pixels of each output along an axis.
@@ -326,5 +233,5 @@ fn averages(shape: [usize; 3], numbers: &[f32], window: Window) -> Result<Value,
             out.push(sums.sum::<f32>() / (rows.len() * columns.len()) as f32);
         }
     }
-    Value::map([shape[0], rows.len(), columns.len()], out)
+    Map::new([shape[0], rows.len(), columns.len()], out)
 }

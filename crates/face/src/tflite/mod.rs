@@ -1,16 +1,20 @@
 //! Networks in TFLite files, as far as MediaPipe's use the format: convolutions, steps between them, weights in half precision.
 //!
+//! TFLite's arrays are `1 x rows x columns x channels`. Those of fewer axes have these as their last ones.
+//!
 //! Fields and numbers are those of `tensorflow/lite/schema/schema.fbs`, version 3.
 
 mod compute;
+mod element_wise;
 mod flatbuffer;
+mod map;
 mod operation;
 #[cfg(test)]
 mod tests;
 
-use compute::Value;
 use flatbuffer::{Broken, Bytes, Table};
 use half::slice::HalfFloatSliceExt as _;
+use map::{Map, MapAxis, shape_of};
 use operation::{Code, Operation, Stored};
 
 /// More numbers are in no layer of a network for faces or persons.
@@ -18,13 +22,14 @@ const MAX_NUMBERS: usize = 1 << 24;
 /// More operations are in no network for faces or persons.
 const MAX_OPERATIONS: usize = 4096;
 
-/// A network with one input, a picture.
+/// A network with one input.
 #[derive(Debug, Clone)]
 pub(crate) struct Network {
-    /// Height and width of the input, which has three channels.
-    input: [usize; 2],
+    /// Channels, height and width of the input.
+    input: [usize; 3],
     input_slot: usize,
-    slots: usize,
+    /// What is known before it runs: numbers of the file that are operands. A slot for each array.
+    constants: Vec<Option<Map>>,
     operations: Vec<Step>,
     outputs: Vec<usize>,
     output_lens: Vec<usize>,
@@ -62,8 +67,7 @@ impl Network {
             Problem::Broken(Broken { at }) => format!("the file is damaged at byte {at}; copy it again"),
             Problem::Unknown(problem) => problem,
         })?;
-        let [height, width] = network.input;
-        let outputs = network.run(&vec![0.0; 3 * height * width])?;
+        let outputs = network.run(&vec![0.0; network.input.iter().product()])?;
         network.output_lens = outputs.iter().map(Vec::len).collect();
         Ok(network)
     }
@@ -73,26 +77,25 @@ impl Network {
         &self.output_lens
     }
 
-    /// Height and width of the input.
-    pub(crate) fn input(&self) -> [usize; 2] {
+    /// Channels, height and width of the input.
+    pub(crate) fn input(&self) -> [usize; 3] {
         self.input
     }
 
-    /// The outputs for a picture as planes of red, green and blue, in the order of TFLite (rows, columns, channels).
+    /// The outputs, in the order of TFLite (rows, columns, channels). The input is in planes, one for each channel.
     ///
     /// # Errors
     /// When the sizes of the network's layers do not fit each other.
     pub(crate) fn run(&self, planes: &[f32]) -> Result<Vec<Vec<f32>>, String> {
-        let mut values: Vec<Option<Value>> = vec![None; self.slots];
-        let [height, width] = self.input;
-        values[self.input_slot] = Some(Value::map([3, height, width], planes.to_vec())?);
+        let mut values = self.constants.clone();
+        values[self.input_slot] = Some(Map::new(self.input, planes.to_vec())?);
         let mut numbers = 0;
         for (index, Step { operation, inputs, output }) in self.operations.iter().enumerate() {
-            let inputs: Option<Vec<&Value>> = inputs.iter().map(|slot| values[*slot].as_ref()).collect();
+            let inputs: Option<Vec<&Map>> = inputs.iter().map(|slot| values[*slot].as_ref()).collect();
             let inputs =
                 inputs.ok_or_else(|| format!("operation {index}: expected an input that is known"))?;
             let value = operation.run(&inputs).map_err(|problem| format!("operation {index}: {problem}"))?;
-            numbers += value.len();
+            numbers += value.numbers.len();
             if numbers > 4 * MAX_NUMBERS {
                 return Err(format!(
                     "expected a network of less than {} numbers between its layers",
@@ -147,12 +150,13 @@ fn read(bytes: &[u8]) -> Result<Network, Problem> {
         return Err(unknown(format!("expected one input, found {}", inputs.len())));
     };
     let input_slot = slot(*input)?;
-    let [1, height, width, 3] = tensors[input_slot].shape[..] else {
-        let found = &tensors[input_slot].shape;
-        return Err(unknown(format!("input: expected 1 x height x width x 3, found {found:?}")));
-    };
-    if height.saturating_mul(width) > MAX_NUMBERS / 3 {
-        return Err(unknown(format!("input: expected a small picture, found {width}x{height}")));
+    let input = shape_of(&tensors[input_slot].shape)?;
+    let numbers = input.iter().try_fold(1_usize, |numbers, size| numbers.checked_mul(*size));
+    if !numbers.is_some_and(|numbers| (1..=MAX_NUMBERS).contains(&numbers)) {
+        let [channels, height, width] = input;
+        return Err(unknown(format!(
+            "input: expected a small picture, found {width}x{height} of {channels} channels"
+        )));
     }
     let operators = graph.tables(3)?;
     if operators.len() > MAX_OPERATIONS {
@@ -162,6 +166,7 @@ fn read(bytes: &[u8]) -> Result<Network, Problem> {
     // Weights in half precision pass through operations that widen them.
     let mut constants: Vec<Option<Vec<f32>>> =
         tensors.iter().map(Described::floats).collect::<Result<_, _>>()?;
+    let mut operands: Vec<Option<Map>> = vec![None; tensors.len()];
     let mut operations = Vec::new();
     for operator in &operators {
         let code = usize::try_from(operator.int(0, 0)?).ok().and_then(|index| codes.get(index)).copied();
@@ -180,19 +185,23 @@ fn read(bytes: &[u8]) -> Result<Network, Problem> {
         let parameters = Parameters { tensors: &tensors, constants: &constants, inputs: &inputs };
         let (options, custom_options) = (operator.table(4)?, operator.bytes(5)?);
         let operation = Stored { code, options, custom_options, parameters }.read()?;
-        let variables = inputs.into_iter().filter(|input| constants[*input].is_none());
-        let variables = variables.filter(|input| tensors[*input].kind == FLOAT32).collect();
+        let mut variables = Vec::new();
+        for input in inputs {
+            match &constants[input] {
+                None if tensors[input].kind == FLOAT32 => variables.push(input),
+                Some(numbers) if operation.takes_constants() => {
+                    let shape = shape_of(&tensors[input].shape)?;
+                    let map = Map::of_rows(shape, numbers).map_err(unknown)?;
+                    operands[input] = Some(map);
+                    variables.push(input);
+                }
+                _ => {}
+            }
+        }
         operations.push(Step { operation, inputs: variables, output });
     }
     let outputs = graph.ints(2)?.into_iter().map(slot).collect::<Result<_, _>>()?;
-    Ok(Network {
-        input: [height, width],
-        input_slot,
-        slots: tensors.len(),
-        operations,
-        outputs,
-        output_lens: Vec::new(),
-    })
+    Ok(Network { input, input_slot, constants: operands, operations, outputs, output_lens: Vec::new() })
 }
 
 fn described<'a>(tensor: &Table<'a>, buffers: &[Table<'a>]) -> Result<Described<'a>, Problem> {
@@ -248,6 +257,13 @@ impl Parameters<'_> {
             Some(len) if len == numbers.len() => Ok((shape, numbers)),
             _ => Err(unknown(format!("expected numbers for a tensor of {shape:?}, found {}", numbers.len()))),
         }
+    }
+
+    /// The axes of an operation's first input that its second input names.
+    fn axes(&self) -> Result<Vec<MapAxis>, Problem> {
+        let rank = self.inputs.first().map_or(0, |input| self.tensors[*input].shape.len());
+        let axes = self.whole(1)?.into_iter().map(|axis| MapAxis::of(axis, rank));
+        axes.collect::<Option<_>>().ok_or_else(|| unknown("expected axes of an array"))
     }
 
     /// Whole numbers of an input that the file holds.

@@ -1,9 +1,13 @@
 //! The operations of MediaPipe's networks for faces and persons, as files have them.
 
+use std::ops::Range;
+
 use srflow_core::excerpt;
 use srflow_ops::resize::Grids;
 
+use super::element_wise::{Binary, NewShape, Reduction, Unary};
 use super::flatbuffer::Table;
+use super::map::{MapAxis, shape_of};
 use super::{Parameters, Problem, unknown};
 
 /// Widens weights.
@@ -43,6 +47,8 @@ pub(super) struct Convolution {
     pub(super) weights: Vec<f32>,
     /// A number for each output.
     pub(super) bias: Vec<f32>,
+    /// Whether negative sums become 0.
+    pub(super) relu: bool,
 }
 
 #[derive(Debug, Clone)]
@@ -56,15 +62,10 @@ pub(super) enum Operation {
     Maximum(Window),
     /// Of the pixels inside of the map.
     Average(Window),
-    Add,
-    Multiply,
-    Relu,
+    Unary(Unary),
+    Binary(Binary),
     /// A slope below zero for each channel.
     PRelu(Vec<f32>),
-    /// `x * min(max(x + 3, 0), 6) / 6`.
-    HardSwish,
-    /// `1 / (1 + exp(-x))`.
-    Logistic,
     /// To height and width, by linear interpolation.
     Resize {
         size: [usize; 2],
@@ -72,11 +73,23 @@ pub(super) enum Operation {
     },
     /// Zeros before and after channels, rows, columns.
     Pad([[usize; 2]; 3]),
-    /// To rows of as many numbers.
-    Reshape {
-        width: usize,
+    Reduce(Reduction),
+    /// Exchanges columns and channels.
+    Transpose,
+    /// Parts of channels, rows, columns.
+    Slice([Range<usize>; 3]),
+    Reshape(NewShape),
+    /// Along channels, rows or columns.
+    Concatenate {
+        axis: usize,
     },
-    Concatenate,
+}
+
+impl Operation {
+    /// Whether numbers of the file may be its inputs, as those of other arrays.
+    pub(super) fn takes_constants(&self) -> bool {
+        matches!(self, Self::Binary(_) | Self::Concatenate { .. })
+    }
 }
 
 /// Which operation it is.
@@ -100,53 +113,47 @@ pub(super) struct Stored<'a> {
 impl Stored<'_> {
     pub(super) fn read(&self) -> Result<Operation, Problem> {
         Ok(match self.code.number {
-            0 => {
-                self.plain(0)?;
-                Operation::Add
-            }
+            0 => self.binary(Binary::Add)?,
             1 => {
                 self.plain(5)?;
                 Operation::Average(self.pooling(LARGEST_AVERAGE)?)
             }
-            2 => {
-                self.plain(1)?;
-                match self.int(0, 0)? {
-                    1 => Operation::Concatenate,
-                    axis => {
-                        return Err(unknown(format!(
-                            "expected rows that follow each other, found axis {axis}"
-                        )));
-                    }
-                }
-            }
+            2 => self.concatenation()?,
             3 => Operation::Convolution(self.convolution()?),
             4 => Operation::Depthwise(self.depthwise()?),
-            14 => Operation::Logistic,
+            14 => Operation::Unary(Unary::Logistic),
             17 => {
                 self.plain(5)?;
                 Operation::Maximum(self.pooling(LARGEST_WINDOW)?)
             }
-            18 => {
-                self.plain(0)?;
-                Operation::Multiply
-            }
-            19 => Operation::Relu,
+            18 => self.binary(Binary::Multiply)?,
+            19 => Operation::Unary(Unary::Relu),
             22 => self.reshape()?,
             23 => self.resize()?,
             CUSTOM if self.code.name == b"Convolution2DTransposeBias" => {
                 Operation::Transposed(self.transposed()?)
             }
             34 => self.pad()?,
+            39 => self.transpose()?,
+            40 => self.reduction(true)?,
+            41 => self.binary(Binary::Subtract)?,
+            42 => self.binary(Binary::Divide)?,
+            45 => self.slice()?,
             54 => Operation::PRelu(self.parameters.constant(1)?.1.to_vec()),
-            117 => Operation::HardSwish,
+            59 => Operation::Unary(Unary::Negative),
+            74 => self.reduction(false)?,
+            75 => Operation::Unary(Unary::SquareRoot),
+            76 => Operation::Unary(Unary::InverseRoot),
+            99 => Operation::Binary(Binary::SquaredDifference),
+            117 => Operation::Unary(Unary::HardSwish),
             other => {
                 let found = match other {
                     CUSTOM => format!("operation {}", excerpt(&String::from_utf8_lossy(self.code.name))),
                     _ => format!("operation {other} of TFLite"),
                 };
                 return Err(unknown(format!(
-                    "{found}: expected those of MediaPipe's short-range detector, face mesh without attention, and \
-                     selfie segmentation"
+                    "{found}: expected those of MediaPipe's face landmarker, its short-range detector, face mesh without \
+                     attention, and selfie segmentation"
                 )));
             }
         })
@@ -160,6 +167,16 @@ impl Stored<'_> {
 
     fn byte(&self, field: usize) -> Result<u8, Problem> {
         Ok(self.options.map_or(Ok(0), |options| options.byte(field))?)
+    }
+
+    /// Whether an operation ends in a ReLU.
+    fn relu(&self, activation: usize) -> Result<bool, Problem> {
+        match self.byte(activation)? {
+            activation @ (0 | 1) => Ok(activation == 1),
+            other => Err(unknown(format!(
+                "expected no activation or a ReLU inside of an operation, found number {other}"
+            ))),
+        }
     }
 
     fn plain(&self, activation: usize) -> Result<(), Problem> {
@@ -200,7 +217,7 @@ impl Stored<'_> {
     }
 
     fn convolution(&self) -> Result<Convolution, Problem> {
-        self.plain(3)?;
+        let relu = self.relu(3)?;
         self.dense(4)?;
         let ([outputs, height, width, inputs], weights) = self.weights()?;
         let taps = height * width;
@@ -213,11 +230,12 @@ impl Stored<'_> {
             outputs,
             weights: (0..weights.len()).map(at).collect(),
             bias: self.bias(outputs)?,
+            relu,
         })
     }
 
     fn depthwise(&self) -> Result<Convolution, Problem> {
-        self.plain(4)?;
+        let relu = self.relu(4)?;
         self.dense(5)?;
         let ([1, height, width, channels], weights) = self.weights()? else {
             return Err(unknown("expected as many outputs of a depthwise convolution as inputs"));
@@ -229,6 +247,7 @@ impl Stored<'_> {
             outputs: channels,
             weights: (0..weights.len()).map(at).collect(),
             bias: self.bias(channels)?,
+            relu,
         })
     }
 
@@ -260,6 +279,7 @@ impl Stored<'_> {
             outputs,
             weights: (0..weights.len()).map(at).collect(),
             bias: self.bias(outputs)?,
+            relu: false,
         })
     }
 
@@ -272,15 +292,102 @@ impl Stored<'_> {
         }
     }
 
+    fn binary(&self, function: Binary) -> Result<Operation, Problem> {
+        self.plain(0)?;
+        Ok(Operation::Binary(function))
+    }
+
+    /// Axes of this many inputs of the file.
+    fn rank(&self) -> usize {
+        let first = self.parameters.inputs.first();
+        first.map_or(0, |input| self.parameters.tensors[*input].shape.len())
+    }
+
+    fn concatenation(&self) -> Result<Operation, Problem> {
+        self.plain(1)?;
+        let axis = self.int(0, 0)?;
+        match MapAxis::of(axis, self.rank()) {
+            Some(MapAxis::Of(axis)) => Ok(Operation::Concatenate { axis }),
+            _ => Err(unknown(format!(
+                "expected rows, columns or channels beside each other, found axis {axis}"
+            ))),
+        }
+    }
+
+    fn reduction(&self, is_mean: bool) -> Result<Operation, Problem> {
+        if self.byte(0)? == 0 {
+            return Err(unknown("expected sums that keep their axes"));
+        }
+        let axes = self.parameters.axes()?;
+        let along = [0, 1, 2].map(|axis| axes.contains(&MapAxis::Of(axis)));
+        Ok(Operation::Reduce(Reduction { along, is_mean }))
+    }
+
+    fn transpose(&self) -> Result<Operation, Problem> {
+        match self.parameters.whole(1)?[..] {
+            [0, 1, 3, 2] => Ok(Operation::Transpose),
+            ref order => {
+                Err(unknown(format!("expected columns and channels to be exchanged, found {order:?}")))
+            }
+        }
+    }
+
+    /// A part of an array, without gaps.
+    fn slice(&self) -> Result<Operation, Problem> {
+        let [begin, end, strides] = [1, 2, 3].map(|position| self.parameters.whole(position));
+        let (begin, end, strides) = (begin?, end?, strides?);
+        let [from_start, to_end, dots, new_axes, fewer_axes] =
+            [0, 1, 2, 3, 4].map(|field| self.int(field, 0));
+        let (from_start, to_end, fewer_axes) = (from_start?, to_end?, fewer_axes?);
+        let rank = self.rank();
+        let plain =
+            [begin.len(), end.len(), strides.len()] == [rank; 3] && strides.iter().all(|stride| *stride == 1);
+        // The first axes may go, but not others: the last are rows, columns, channels.
+        if !plain || dots? != 0 || new_axes? != 0 || !matches!(fewer_axes, 0 | 1 | 3 | 7) {
+            return Err(unknown("expected a part of an array without gaps and with its axes"));
+        }
+        let shape =
+            self.parameters.inputs.first().map(|input| self.parameters.tensors[*input].shape.as_slice());
+        let sizes = shape_of(shape.unwrap_or_default())?;
+        let mut parts = sizes.map(|size| 0..size);
+        for (place, (begin, end)) in begin.iter().zip(&end).enumerate() {
+            let Some(MapAxis::Of(axis)) = MapAxis::of(place as i32, rank) else { continue };
+            let size = sizes[axis];
+            let at = |bound: i32| match usize::try_from(bound) {
+                Ok(bound) => bound.min(size),
+                Err(_) => size.saturating_sub(bound.unsigned_abs() as usize),
+            };
+            let kept = |mask: i32| mask >> place & 1 == 1;
+            parts[axis] =
+                if kept(from_start) { 0 } else { at(*begin) }..if kept(to_end) { size } else { at(*end) };
+            if kept(fewer_axes) && parts[axis].len() != 1 {
+                return Err(unknown("expected an axis of size 1 to go"));
+            }
+        }
+        Ok(Operation::Slice(parts))
+    }
+
     fn reshape(&self) -> Result<Operation, Problem> {
         // The shape is an input in new files, an option in old ones.
-        let output = match (self.parameters.inputs.len(), self.options) {
+        let axes = match (self.parameters.inputs.len(), self.options) {
             (1, Some(options)) => options.ints(0)?,
             _ => self.parameters.whole(1)?,
         };
-        match output.last().map(|width| usize::try_from(*width)) {
-            Some(Ok(width @ 1..)) => Ok(Operation::Reshape { width }),
-            _ => Err(unknown(format!("expected the shape of rows, found {output:?}"))),
+        let sizes: Option<Vec<usize>> = axes
+            .iter()
+            .map(|size| match size {
+                -1 => Some(0),
+                size => usize::try_from(*size).ok().filter(|size| *size > 0),
+            })
+            .collect();
+        let unknown_sizes = axes.iter().filter(|size| **size == -1).count();
+        match sizes {
+            Some(sizes) if unknown_sizes <= 1 && sizes.len() <= 4 && (sizes.len() < 4 || sizes[0] <= 1) => {
+                let last = sizes.len().saturating_sub(3);
+                let shape = shape_of(&sizes[last..])?;
+                Ok(Operation::Reshape(NewShape(shape.map(|size| (size > 0).then_some(size)))))
+            }
+            _ => Err(unknown(format!("expected the shape of an array, found {axes:?}"))),
         }
     }
 

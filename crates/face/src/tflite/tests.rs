@@ -7,11 +7,14 @@ const FACES: &[u8] = include_bytes!("../../tests/golden/operations.tflite");
 /// Its network for persons has these.
 const PERSON: &[u8] = include_bytes!("../../tests/golden/person_operations.tflite");
 
+/// That for blend shapes has these.
+const SHAPES: &[u8] = include_bytes!("../../tests/golden/shape_operations.tflite");
+
 /// Compares the outputs of a file, which have these names, with those of TensorFlow Lite.
 fn check(file: &[u8], golden: &str, names: &[&str]) {
     let network = Network::parse(file).unwrap();
-    let [height, width] = network.input();
-    assert_eq!([height, width], [13, 18]);
+    let [channels, height, width] = network.input();
+    assert_eq!([channels, height, width], [3, 13, 18]);
     let seed = name_hash("picture");
     let at = |index: usize| {
         let (channel, pixel) = (index / (height * width), index % (height * width));
@@ -33,6 +36,7 @@ fn check(file: &[u8], golden: &str, names: &[&str]) {
 fn every_operation_gives_what_tensorflow_lite_gives() {
     check(FACES, "tests/golden/operations.safetensors", &["rows", "last"]);
     check(PERSON, "tests/golden/person_operations.safetensors", &["mask", "spread", "near"]);
+    check(SHAPES, "tests/golden/shape_operations.safetensors", &["mixed", "centred", "row"]);
 }
 
 fn refused(bytes: &[u8]) -> String {
@@ -42,7 +46,7 @@ fn refused(bytes: &[u8]) -> String {
 #[test]
 fn damaged_files_are_refused() {
     assert!(refused(b"").contains("expected a TFLite file"));
-    for file in [FACES, PERSON] {
+    for file in [FACES, PERSON, SHAPES] {
         assert!(refused(&file[..file.len() / 2]).contains("the file is damaged at byte"));
         for len in (0..file.len()).step_by(7) {
             refused(&file[..len]);

@@ -86,6 +86,17 @@ impl Source {
         Ok(Self::Files(files))
     }
 
+    /// As [`Self::open`]; one picture is also enough.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn of_any(arguments: &[PathBuf]) -> anyhow::Result<Self> {
+        match arguments {
+            [file] if is_picture(file) && file.is_file() => Ok(Self::Files(vec![file.clone()])),
+            _ => Self::open(arguments),
+        }
+    }
+
     /// Number of pairs, if known.
     pub fn pairs(&self) -> Option<u64> {
         match self {

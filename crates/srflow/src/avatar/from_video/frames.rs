@@ -11,7 +11,7 @@ use srflow_files::{create_folder, write_atomically, write_image_png};
 
 use super::FromVideoJob;
 use crate::Watch;
-use crate::face::FaceTrack;
+use crate::face::FoundTrack;
 use crate::video::VideoReader;
 
 /// Folder of the frames.
@@ -73,7 +73,7 @@ pub fn choose(
     create_folder(&dir.join(IMAGES))?;
     let progress = watch.count("frames", of);
     let mut reader = VideoReader::open(&job.video)?;
-    let mut track = FaceTrack::Found { finder, index: job.face_index.map(usize::from), last: None };
+    let mut track = FoundTrack::new(finder, job.face_index.map(usize::from));
     let mut frames = Frames { size: (0, 0), numbers: Vec::new(), landmarks: Landmarks::default(), of };
     let mut best: Option<Candidate> = None;
     let (mut number, mut looked_at) = (0, 0);
@@ -96,7 +96,7 @@ pub fn choose(
         }
         if number % look_at_every == 0 {
             looked_at += 1;
-            if let Some(points) = track.points(number as i64, &image)?
+            if let Some(points) = track.face(&image)?.map(|face| face.points)
                 && let Some(dlib) = &points.dlib
                 && let Ok(face) = points.upright_box(image.size())
             {

@@ -143,7 +143,7 @@ impl Video {
         let mut landmarks = match &track {
             FaceTrack::Still(_) => Landmarks::None,
             FaceTrack::Table(_) => Landmarks::Given,
-            FaceTrack::Found { .. } => Landmarks::Found(Vec::new()),
+            FaceTrack::Found(_) => Landmarks::Found(Vec::new()),
         };
         let first_number = self.source.first_number();
         let mut place = 0;

@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 use srflow_core::{Image, excerpt};
 use srflow_data::micro_expression::Clip;
 use srflow_face::{
-    FaceBox, FaceError, FaceFinder, FacePoints, FrameCrop, LandmarkTable, MODEL_SOURCES, write_landmarks,
+    Face, FaceBox, FaceError, FaceFinder, FacePoints, FrameCrop, LandmarkTable, MODEL_SOURCES,
+    write_landmarks,
 };
 use srflow_files::whole_number;
 use srflow_mer::{FaceCrop, Landmarks};
@@ -31,8 +32,9 @@ pub struct FaceArgs {
     /// Face to use if there are several; 1 is the leftmost
     #[arg(long, value_name = "N", requires = "face", value_parser = clap::value_parser!(u16).range(1..))]
     face_index: Option<u16>,
-    /// MediaPipe's package, as a folder or .whl file, or a folder with face_detection_short_range.tflite and
-    /// face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed]
+    /// MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with
+    /// face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the
+    /// package that python3 has installed]
     #[arg(long, value_name = "PATH", requires = "face")]
     face_models: Option<PathBuf>,
     /// Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels
@@ -147,7 +149,7 @@ impl FaceArgs {
     /// When landmarks or networks cannot be read.
     pub fn along(&self, video: &str) -> anyhow::Result<FaceTrack> {
         if let Some(finder) = self.finder()? {
-            return Ok(FaceTrack::Found { finder, index: self.index(), last: None });
+            return Ok(FaceTrack::Found(FoundTrack::new(finder, self.index())));
         }
         let still = |points, crop| FaceTrack::Still(FoundFace { points, crop });
         Ok(match (&self.landmarks, self.face_box) {
@@ -242,8 +244,8 @@ pub enum FaceTrack {
     Still(FoundFace),
     /// By the landmarks of frames, by their numbers; `None` in frames without a face.
     Table(BTreeMap<i64, Option<FacePoints>>),
-    /// Found by networks; of several faces the one nearest to where it was.
-    Found { finder: FaceFinder, index: Option<usize>, last: Option<FacePoints> },
+    /// Found by networks.
+    Found(FoundTrack),
 }
 
 impl FaceTrack {
@@ -255,25 +257,48 @@ impl FaceTrack {
         match self {
             Self::Still(face) => Ok(face.points.clone()),
             Self::Table(frames) => Ok(frames.range(..=number).next_back().and_then(|(_, face)| face.clone())),
-            Self::Found { finder, index, last } => {
-                let found = match last {
-                    None => match finder.face(frame, *index) {
-                        Ok(face) => Some(face.points),
-                        Err(FaceError::NoFace) => None,
-                        Err(error) => return Err(error.into()),
-                    },
-                    Some(last) => {
-                        let faces = finder.faces(frame)?.into_iter().map(|face| face.points);
-                        let away = |face: &FacePoints| face.distance_to(last);
-                        faces.min_by(|a, b| away(a).total_cmp(&away(b)))
-                    }
-                };
-                if found.is_some() {
-                    last.clone_from(&found);
-                }
-                Ok(found)
-            }
+            Self::Found(track) => Ok(track.face(frame)?.map(|face| face.points)),
         }
+    }
+}
+
+/// A face that networks find along a video; of several the one nearest to where it was.
+pub struct FoundTrack {
+    finder: FaceFinder,
+    index: Option<usize>,
+    last: Option<FacePoints>,
+}
+
+impl FoundTrack {
+    /// In the first frame with a face it is the only one, or that of this number from 1 on, counted from the left.
+    pub fn new(finder: FaceFinder, index: Option<usize>) -> Self {
+        Self { finder, index, last: None }
+    }
+
+    pub fn finder(&self) -> &FaceFinder {
+        &self.finder
+    }
+
+    /// The face in the next frame; `None` if no face is there.
+    ///
+    /// # Errors
+    /// When there are several faces, and none was chosen.
+    pub fn face(&mut self, frame: &Image) -> anyhow::Result<Option<Face>> {
+        let found = match &self.last {
+            None => match self.finder.face(frame, self.index) {
+                Ok(face) => Some(face),
+                Err(FaceError::NoFace) => None,
+                Err(error) => return Err(error.into()),
+            },
+            Some(last) => {
+                let away = |face: &Face| face.points.distance_to(last);
+                self.finder.faces(frame)?.into_iter().min_by(|a, b| away(a).total_cmp(&away(b)))
+            }
+        };
+        if let Some(face) = &found {
+            self.last = Some(face.points.clone());
+        }
+        Ok(found)
     }
 }
 

@@ -1,4 +1,4 @@
-"""docs/explanation/results.md: networks with trained weights on real frames, against PyTorch.
+"""docs/explanation/networks.md: networks with trained weights on real frames, against PyTorch.
 
     pip install ptlflow==0.4.2 opencv-python-headless
     python tools/parity/trained_table.py OUT --weights raft-small=FILE unimatch-sc2=FILE --pairs NAME=FOLDER...

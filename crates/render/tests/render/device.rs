@@ -1,4 +1,4 @@
-//! A dataset rasterized on a GPU is that of the CPU within the tolerance that docs/reference/dataset-format.md states.
+//! A dataset rasterized on a GPU is that of the CPU within the tolerance that docs/guides/gpu.md states.
 //! `SRFLOW_TEST_DEVICE` names the
 //! GPU; see docs/guides/gpu.md.
 

@@ -53,7 +53,7 @@ pub enum HeadError {
     /// The model has no landmarks, which place brows, lashes and the colours of the face.
     #[error(
         "the head model {model} has {found} landmarks; dressing it with Gaussians needs the 68 of dlib{}",
-        if file.is_empty() { String::new() } else { format!(", in `{file}` beside it (docs/reference/avatar-files.md)") }
+        if file.is_empty() { String::new() } else { format!(", in `{file}` beside it; `srflow avatar landmarks` finds them") }
     )]
     Landmarks {
         /// Name of the head model.

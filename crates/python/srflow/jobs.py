@@ -1349,6 +1349,31 @@ def avatar_units(
     return _run("avatar units", settings)
 
 
+def avatar_landmarks(
+    model: str,
+    out: Path,
+    *,
+    seed: int = 1,
+    viz: Path | None = None,
+    face_models: Path | None = None,
+    force: bool = False,
+    callback: Callback | None = None,
+) -> Report:
+    """Find the 68 landmarks of a head model without any.
+
+    Args:
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        out: File to write: 68 rows in dlib's order, each with three vertices and their weights.
+        seed: Seed of a built-in head.
+        viz: Draw the landmarks into the picture of the mesh.
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        force: Overwrite existing files.
+        callback: Called with progress.
+    """
+    settings = locals()
+    return _run("avatar landmarks", settings)
+
+
 def mer_data(
     datasets: str | Sequence[str],
     *,
@@ -2206,4 +2231,4 @@ def mer_tables(
     return _run("mer tables", settings)
 
 
-__all__ = ["ablation", "avatar_capture", "avatar_eval", "avatar_export", "avatar_fit", "avatar_from_video", "avatar_import", "avatar_mesh", "avatar_train", "avatar_units", "check", "convert", "demo", "device", "device_network", "device_rasterizer", "eval", "face", "figure", "flow", "mer_apex", "mer_data", "mer_features", "mer_predict", "mer_run", "mer_spot", "mer_spot_score", "mer_strain", "mer_synth", "mer_synth_long", "mer_tables", "merge", "metrics", "models", "models_export", "models_inspect", "pack", "rasterize", "render", "shapes", "train", "view"]
+__all__ = ["ablation", "avatar_capture", "avatar_eval", "avatar_export", "avatar_fit", "avatar_from_video", "avatar_import", "avatar_landmarks", "avatar_mesh", "avatar_train", "avatar_units", "check", "convert", "demo", "device", "device_network", "device_rasterizer", "eval", "face", "figure", "flow", "mer_apex", "mer_data", "mer_features", "mer_predict", "mer_run", "mer_spot", "mer_spot_score", "mer_strain", "mer_synth", "mer_synth_long", "mer_tables", "merge", "metrics", "models", "models_export", "models_inspect", "pack", "rasterize", "render", "shapes", "train", "view"]

@@ -75,6 +75,7 @@ jobs![
     avatar::mesh::MeshJob,
     avatar::export::ExportJob,
     avatar::units::UnitsJob,
+    avatar::landmarks::LandmarksJob,
     mer::data::DataJob,
     mer::synth::SynthJob,
     mer::synth_long::SynthLongJob,

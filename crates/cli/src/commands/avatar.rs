@@ -6,7 +6,7 @@ use srflow::avatar;
 use crate::Context;
 use crate::run::run as run_job;
 
-/// Head models and avatars: from a video, captures, fitting, training, scores, meshes, export, action units
+/// Head models and avatars: from a video, captures, fitting, training, scores, meshes, landmarks, export, action units
 #[derive(Args)]
 pub struct Avatar {
     #[command(subcommand)]
@@ -21,6 +21,7 @@ enum AvatarCommand {
     Fit(avatar::fit::FitJob),
     FromVideo(avatar::from_video::FromVideoJob),
     Import(avatar::import::ImportJob),
+    Landmarks(avatar::landmarks::LandmarksJob),
     Mesh(avatar::mesh::MeshJob),
     Train(avatar::train::TrainJob),
     Units(avatar::units::UnitsJob),
@@ -34,6 +35,7 @@ pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
         AvatarCommand::Fit(job) => run_job(&job, context),
         AvatarCommand::FromVideo(job) => run_job(&job, context),
         AvatarCommand::Import(job) => run_job(&job, context),
+        AvatarCommand::Landmarks(job) => run_job(&job, context),
         AvatarCommand::Mesh(job) => run_job(&job, context),
         AvatarCommand::Train(job) => run_job(&job, context),
         AvatarCommand::Units(job) => run_job(&job, context),

@@ -118,3 +118,59 @@ fn wrong_arguments_are_refused() {
     refuses(&mesh(&misfit), 1, &["parameters.npz", "shape: the parameters have 300"]);
     assert!(!Path::new(&out).exists());
 }
+
+#[test]
+fn landmarks_of_a_mesh_are_found_in_pictures_of_it() {
+    let Some(models) = crate::face::models() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let run = |arguments: &[&str]| crate::srflow().current_dir(folder).args(arguments).output().unwrap();
+    succeeds(&run(&["avatar", "mesh", "--model", "builtin", "--seed", "2", "-o", "head.glb"]));
+    let dress = [
+        "render",
+        "--head",
+        "gltf:head.glb",
+        "--out",
+        "set",
+        "--scenes",
+        "1",
+        "--splits",
+        "1,0,0",
+        "--frames",
+        "2",
+    ];
+    let dress = [&dress[..], &["--size", "64x96"]].concat();
+    refuses(&run(&dress), 1, &["landmarks_68.txt", "srflow avatar landmarks"]);
+    let models = models.to_str().unwrap();
+    let find = |model: &str, more: &[&str]| {
+        let arguments =
+            ["avatar", "landmarks", "--model", model, "--face-models", models, "-o", "landmarks_68.txt"];
+        run(&[&arguments, more].concat())
+    };
+    let report = json(&find("gltf:head.glb", &["--viz", "seen.png", "--json"]));
+    assert_eq!(report["facing"], serde_json::json!([0.0, 0.0, 1.0]), "{report}");
+    assert!(folder.join("seen.png").exists());
+
+    // The sculptor knows where the eyes, the nose and the lips are.
+    let model = srflow_head::HeadModel::builtin(2);
+    let truth: Vec<glam::Vec3> = model.landmarks_on(&model.template).collect();
+    let text = std::fs::read_to_string(folder.join("landmarks_68.txt")).unwrap();
+    let place = |line: &str| -> glam::Vec3 {
+        let cells: Vec<f32> = line.split_whitespace().map(|cell| cell.parse().unwrap()).collect();
+        cells
+            .as_chunks::<2>()
+            .0
+            .iter()
+            .map(|[vertex, weight]| model.template[*vertex as usize] * *weight)
+            .sum()
+    };
+    let found: Vec<glam::Vec3> = text.lines().map(place).collect();
+    assert_eq!(found.len(), 68);
+    for (points, most) in [(27..36, 0.008), (36..48, 0.005), (48..68, 0.008)] {
+        let errors = points.clone().map(|point| found[point].distance(truth[point]));
+        let mean = errors.sum::<f32>() / points.len() as f32;
+        assert!(mean < most, "{points:?}: {mean} m");
+    }
+    succeeds(&run(&dress));
+    refuses(&find("gltf:head.glb", &[]), 1, &["landmarks_68.txt exists"]);
+}

@@ -17,6 +17,7 @@ pub use arguments::{
     FACE_MODELS_VARIABLE, FaceArgs, FaceBoxes, FaceTrack, FoundFace, FoundTrack, face_models,
 };
 use picture::Pictures;
+pub(crate) use picture::draw_points;
 use table::FaceTable;
 
 use crate::clap::{Args, ValueEnum};

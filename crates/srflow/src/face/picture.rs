@@ -42,7 +42,7 @@ impl Pictures {
         face: Option<&Face>,
         choice: PointChoice,
     ) -> anyhow::Result<()> {
-        let picture = drawn(&frame.image, face.map_or(&[], |face| points_of(face, choice)));
+        let picture = draw_points(&frame.image, face.map_or(&[], |face| points_of(face, choice)));
         match self {
             Self::Folder(folder) => {
                 create_folder(folder)?;
@@ -70,8 +70,8 @@ impl Pictures {
     }
 }
 
-/// The frame with a square at each point.
-fn drawn(frame: &Image, points: &[[f64; 2]]) -> Image {
+/// The frame with a square at each point, pixels.
+pub fn draw_points(frame: &Image, points: &[[f64; 2]]) -> Image {
     let (width, height) = frame.size();
     let reach = (width.max(height) / 1000).max(1) as i64;
     let mut picture = frame.clone();

@@ -2,7 +2,6 @@
 
 mod frames;
 mod masks;
-mod mesh_picture;
 mod page;
 
 use std::fmt;
@@ -21,6 +20,7 @@ use srflow_head::{HeadModel, HeadParameters, PoseParameters, ShapedHead};
 use srflow_splat::Camera;
 
 use super::fit::{FIT_NAME, FitJob};
+use super::mesh_picture::shading;
 use super::train::{Overrides, TrainJob, TrainReport, TrainedAvatar};
 use crate::clap::Args;
 use crate::error::wrong_settings;
@@ -30,7 +30,6 @@ use crate::video::facts;
 use crate::{Job, Report, Watch, WhenStopped};
 use frames::{CAMERA, Frames, choose, image_name};
 use masks::{MASKS, mask_name, write_mask};
-use mesh_picture::shading;
 
 /// Make an avatar from a video of one person
 ///

@@ -10,8 +10,8 @@ use srflow_head::PoseParameters;
 use srflow_report::html::{Film, Page, Section, facts, films, tiles};
 use srflow_report::shrink_image;
 
-use super::mesh_picture::overlay;
 use super::{FIT_NAME, FittedHead, HEAD, VideoRecord, focal_text};
+use crate::avatar::mesh_picture::overlay;
 use crate::avatar::train::TrainedAvatar;
 use crate::machine;
 

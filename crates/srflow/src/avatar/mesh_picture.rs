@@ -1,17 +1,20 @@
 //! A mesh as a camera sees it.
 
-use glam::{DVec2, Vec3};
+use glam::{DVec2, DVec3, Vec3};
 use srflow_core::{Image, Plane};
 use srflow_splat::Camera;
 
-/// How brightly the surface is lit from the camera at each pixel, from 0.25 to 1; 0 where there is none.
-pub fn shading(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Plane {
+/// A point of a mesh that a camera sees: the triangle, and the weights of its corners.
+pub type SurfacePoint = (usize, DVec3);
+
+/// The nearest point of the surface at each pixel, row by row; `None` where there is none.
+pub fn visible(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Vec<Option<SurfacePoint>> {
     let (width, height) = (camera.width, camera.height);
-    let (mut shade, mut nearest) = (Plane::new(width, height), vec![f64::INFINITY; width * height]);
+    let mut points = vec![None; width * height];
+    let mut nearest = vec![f64::INFINITY; width * height];
     let seen: Vec<Option<(DVec2, f64)>> =
         vertices.iter().map(|vertex| camera.project(vertex.as_dvec3())).collect();
-    let eye = camera.position();
-    for triangle in triangles {
+    for (number, triangle) in triangles.iter().enumerate() {
         let [Some((a, da)), Some((b, db)), Some((c, dc))] = triangle.map(|v| seen[v as usize]) else {
             continue;
         };
@@ -19,9 +22,6 @@ pub fn shading(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Pl
         if area == 0.0 || !area.is_finite() {
             continue;
         }
-        let [p, q, r] = triangle.map(|v| vertices[v as usize].as_dvec3());
-        let normal = (q - p).cross(r - p).normalize_or_zero();
-        let lit = 0.25 + 0.75 * normal.dot((eye - p).normalize_or_zero()).abs();
         let range = |axis: usize, side: usize| {
             let low = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0);
             let high = a[axis].max(b[axis]).max(c[axis]).floor().min(side as f64 - 1.0);
@@ -30,20 +30,39 @@ pub fn shading(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Pl
         for y in range(1, height) {
             for x in range(0, width) {
                 let at = DVec2::new(x as f64, y as f64);
-                let [u, v] = [(at - a).perp_dot(c - a) / area, (b - a).perp_dot(at - a) / area];
-                if u < 0.0 || v < 0.0 || u + v > 1.0 {
+                let [of_b, of_c] = [(at - a).perp_dot(c - a) / area, (b - a).perp_dot(at - a) / area];
+                if of_b < 0.0 || of_c < 0.0 || of_b + of_c > 1.0 {
                     continue;
                 }
-                let depth = 1.0 / ((1.0 - u - v) / da + u / db + v / dc);
+                // On the surface the weights are those in the picture, each by its corner's depth.
+                let by_depth = DVec3::new((1.0 - of_b - of_c) / da, of_b / db, of_c / dc);
+                let depth = 1.0 / by_depth.element_sum();
                 let nearest = &mut nearest[y * width + x];
                 if depth < *nearest {
                     *nearest = depth;
-                    shade.set(x, y, lit as f32);
+                    points[y * width + x] = Some((number, by_depth * depth));
                 }
             }
         }
     }
-    shade
+    points
+}
+
+/// How brightly the surface is lit from the camera at each pixel, from 0.25 to 1; 0 where there is none.
+pub fn shading(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Plane {
+    let eye = camera.position();
+    let lit: Vec<f32> = triangles
+        .iter()
+        .map(|triangle| {
+            let [p, q, r] = triangle.map(|v| vertices[v as usize].as_dvec3());
+            let normal = (q - p).cross(r - p).normalize_or_zero();
+            (0.25 + 0.75 * normal.dot((eye - p).normalize_or_zero()).abs()) as f32
+        })
+        .collect();
+    let points = visible(vertices, triangles, camera);
+    Plane::from_fn(camera.width, camera.height, |x, y| {
+        points[y * camera.width + x].map_or(0.0, |(triangle, _)| lit[triangle])
+    })
 }
 
 /// The picture with the surface over it, through which it is seen.
@@ -73,5 +92,12 @@ mod tests {
         let near = shading(&vertices, &[[3, 4, 5]], &camera);
         assert_eq!(both.get(10, 10), near.get(10, 10));
         assert!(near.get(10, 10) > 0.9 && near.get(1, 1) == 0.0);
+        let points = visible(&vertices, &[[0, 1, 2], [3, 4, 5]], &camera);
+        let (triangle, weights) = points[10 * 20 + 10].unwrap();
+        let corners = [3, 4, 5].map(|v: usize| vertices[v].as_dvec3());
+        let place: DVec3 =
+            corners.iter().zip(weights.to_array()).map(|(corner, weight)| *corner * weight).sum();
+        assert_eq!(triangle, 1);
+        assert!((camera.project(place).unwrap().0 - DVec2::splat(10.0)).length() < 1e-9, "{place}");
     }
 }

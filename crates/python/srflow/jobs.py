@@ -1079,25 +1079,33 @@ def avatar_capture(
 
 def avatar_import(
     pictures: Path,
-    pattern: str,
-    cameras: Path,
     out: Path,
     *,
+    pattern: str | None = None,
     masks: str | None = None,
+    cameras: Path | None = None,
     metres_per_unit: float = 1,
     force: bool = False,
+    frames: int | None = None,
+    focal: float | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
     callback: Callback | None = None,
 ) -> Report:
-    """Make a capture from pictures in folders and a file of their cameras.
+    """Make a capture from a video of one person, or from pictures and a file of their cameras.
 
     Args:
-        pictures: Folder of the pictures.
-        pattern: Names of the pictures below PICTURES, with {camera} and {timestep}; without an extension, PNG and JPEG.
-        cameras: File of the cameras, or folder of a COLMAP model.
+        pictures: Folder of the pictures, or a video.
         out: Folder to write.
+        pattern: Names of the pictures below PICTURES, with {camera} and {timestep}; without an extension, PNG and JPEG.
         masks: Names of the masks below PICTURES, white on the head.
+        cameras: File of the cameras, or folder of a COLMAP model.
         metres_per_unit: Metres per unit of the cameras.
         force: Overwrite the lists in the folder.
+        frames: Use at most this many frames, spread over the video [default: 240].
+        focal: Focal length in pixels [default: recorded in the video, else 1.1 longer sides].
+        face_index: Face to follow if there are several; 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or .whl file, or a folder with its networks [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         callback: Called with progress.
     """
     settings = locals()
@@ -1151,13 +1159,13 @@ def avatar_from_video(
     config: Path = "cpu",
     *,
     model: str = "builtin-average",
-    frames: int = 240,
-    focal: float | None = None,
     eye_distance: float | None = None,
-    face_index: int | None = None,
-    face_models: Path | None = None,
     iterations: int | None = None,
     force: bool = False,
+    frames: int | None = None,
+    focal: float | None = None,
+    face_index: int | None = None,
+    face_models: Path | None = None,
     callback: Callback | None = None,
 ) -> Report:
     """Make an avatar from a video of one person.
@@ -1167,13 +1175,13 @@ def avatar_from_video(
         out: Folder to write.
         config: Preset or TOML file of the training.
         model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
-        frames: Use at most this many frames, spread over the video.
-        focal: Focal length in pixels [default: recorded in the video, else 1.1 longer sides].
         eye_distance: Distance between the pupils in millimetres, about 63 in adults; gives the scale that a single camera cannot see.
-        face_index: Face to follow if there are several; 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or .whl file, or a folder with its networks [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         iterations: Number of iterations of the training.
         force: Delete what an earlier run has left in the folder and start over.
+        frames: Use at most this many frames, spread over the video [default: 240].
+        focal: Focal length in pixels [default: recorded in the video, else 1.1 longer sides].
+        face_index: Face to follow if there are several; 1 is the leftmost.
+        face_models: MediaPipe's package, as a folder or .whl file, or a folder with its networks [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         callback: Called with progress.
     """
     settings = locals()

@@ -108,7 +108,7 @@ fn matches<'a>(
 }
 
 /// See [`import`].
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Imported {
     /// In the order of [`Capture::views`](super::Capture::views). Paths are relative to the folder of the pictures.
     pub views: Vec<CaptureView>,

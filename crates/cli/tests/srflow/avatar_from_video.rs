@@ -77,6 +77,21 @@ fn a_video_becomes_an_avatar_that_can_be_rendered() {
     let mask = srflow_files::read_image(&folder.join("me/fg_masks/00000_00.png")).unwrap();
     assert!(mask.get(112, 112)[0] > 200 && mask.get(221, 215)[0] < 50);
 
+    // Its first step alone.
+    let import = |more: &[&str]| {
+        let arguments = ["avatar", "import", "clip.mp4", "--face-models", models, "--out", "capture"];
+        crate::srflow().current_dir(folder).args(arguments).args(more).output().unwrap()
+    };
+    let text = succeeds(&import(&["--frames", "9", "--focal", "600"]));
+    assert!(text.contains("9 pictures of one camera") && text.contains("600 px, as given"), "{text}");
+    for file in ["landmarks.csv", "transforms.json", "images/00003_00.png"] {
+        let [whole, alone] = ["me", "capture"].map(|of| fs::read(folder.join(of).join(file)).unwrap());
+        assert_eq!(whole, alone, "{file}");
+    }
+    assert!(folder.join("capture/fg_masks/00008_00.png").exists());
+    refuses(&import(&[]), 1, &["transforms.json exists", "--force"]);
+    refuses(&import(&["--force", "--cameras", "x"]), 2, &["--cameras is a setting of pictures"]);
+
     let again = reported(run("clip.mp4", &["--focal", "600", "--json"]));
     assert_eq!(again["avatar"], report["avatar"]);
     refuses(&run("clip.mp4", &["--focal", "700"]), 2, &["video.json", "another --focal", "--force"]);

@@ -1,15 +1,16 @@
-//! The frames of a video that an avatar is learned from: spread over the video, sharp, with a face.
+//! The frames of a video that an avatar is learned from: spread over the video, sharp, with a face that nothing hides.
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
-use srflow_avatar::capture::{Face, Landmarks};
+use anyhow::{Context as _, bail};
+use srflow_avatar::capture::Landmarks;
 use srflow_core::{Image, luminance};
 use srflow_face::{FaceBox, FaceFinder};
 use srflow_files::{create_folder, write_atomically, write_image_png};
 
-use super::FromVideoJob;
+use super::VideoArgs;
+use super::hidden::{FaceColours, hidden};
 use crate::Watch;
 use crate::face::FoundTrack;
 use crate::video::VideoReader;
@@ -38,6 +39,9 @@ pub struct Frames {
     pub landmarks: Landmarks,
     /// Frames of the video.
     pub of: u64,
+    /// Frames that were left out, since something hides the face.
+    pub hidden: usize,
+    colours: Vec<FaceColours>,
 }
 
 /// The path of a timestep's picture below the folder of the capture.
@@ -49,32 +53,40 @@ struct Candidate {
     number: u64,
     sharpness: f64,
     image: Image,
-    face: Face,
+    face: srflow_face::Face,
 }
 
-/// Chooses frames and writes them into the folder of the job; `None` when it was stopped.
+/// Chooses frames and writes them into a folder; `None` when it was stopped.
 ///
 /// # Errors
 /// When the video cannot be read, there are several faces and none is chosen, or too few frames have one.
 pub fn choose(
-    job: &FromVideoJob,
+    settings: &VideoArgs,
+    video: &Path,
+    dir: &Path,
     frames_of_video: Option<u64>,
     finder: FaceFinder,
     watch: &Watch,
 ) -> anyhow::Result<Option<Frames>> {
-    let dir = &job.out;
     let of = match frames_of_video {
         Some(frames) if frames > 0 => frames,
-        _ => count(&job.video)?,
+        _ => count(video)?,
     };
-    let windows = (job.frames as u64).min(of).max(1);
+    let windows = (settings.most_frames() as u64).min(of).max(1);
     let window_of = |frame: u64| (frame * windows / of).min(windows - 1);
     let look_at_every = (of / windows).div_ceil(CANDIDATES).max(1);
     create_folder(&dir.join(IMAGES))?;
     let progress = watch.count("frames", of);
-    let mut reader = VideoReader::open(&job.video)?;
-    let mut track = FoundTrack::new(finder, job.face_index.map(usize::from));
-    let mut frames = Frames { size: (0, 0), numbers: Vec::new(), landmarks: Landmarks::default(), of };
+    let mut reader = VideoReader::open(video)?;
+    let mut track = FoundTrack::new(finder, settings.face_index.map(usize::from));
+    let mut frames = Frames {
+        size: (0, 0),
+        numbers: Vec::new(),
+        landmarks: Landmarks::default(),
+        of,
+        hidden: 0,
+        colours: Vec::new(),
+    };
     let mut best: Option<Candidate> = None;
     let (mut number, mut looked_at) = (0, 0);
     while let Some(image) = reader.next_frame()? {
@@ -89,20 +101,19 @@ pub fn choose(
         } else if frames.size != image.size() {
             bail!(
                 "{}: expected frames of one size, found {:?} and {:?} pixels",
-                job.video.display(),
+                video.display(),
                 frames.size,
                 image.size()
             );
         }
         if number % look_at_every == 0 {
             looked_at += 1;
-            if let Some(points) = track.face(&image)?.map(|face| face.points)
-                && let Some(dlib) = &points.dlib
-                && let Ok(face) = points.upright_box(image.size())
+            if let Some(face) = track.face(&image)?
+                && let Ok(bounds) = face.points.upright_box(image.size())
             {
-                let sharpness = sharpness(&image, face);
+                let sharpness = sharpness(&image, bounds);
                 if best.as_ref().is_none_or(|best| sharpness > best.sharpness) {
-                    best = Some(Candidate { number, sharpness, image, face: dlib.map(Some) });
+                    best = Some(Candidate { number, sharpness, image, face });
                 }
             }
         }
@@ -111,11 +122,12 @@ pub fn choose(
     }
     frames.keep(best, dir)?;
     frames.of = number;
+    frames.leave_out_hidden(dir)?;
     if frames.numbers.len() < FEWEST {
         bail!(
-            "{}: expected a face in at least {FEWEST} of the frames that an avatar is learned from, found one in {} of {looked_at} frames \
+            "{}: expected a face that nothing hides in at least {FEWEST} of the frames that an avatar is learned from, found one in {} of {looked_at} frames \
              that were looked at; is it large and facing the camera?",
-            job.video.display(),
+            video.display(),
             frames.numbers.len()
         );
     }
@@ -133,10 +145,40 @@ pub fn choose(
 impl Frames {
     fn keep(&mut self, candidate: Option<Candidate>, dir: &Path) -> anyhow::Result<()> {
         let Some(Candidate { number, image, face, .. }) = candidate else { return Ok(()) };
+        let Some(dlib) = &face.points.dlib else { return Ok(()) };
         let timestep = self.numbers.len() as u32;
         write_image_png(&dir.join(image_name(timestep)), &image)?;
-        self.landmarks.insert(timestep, CAMERA, face);
+        self.landmarks.insert(timestep, CAMERA, dlib.map(Some));
         self.numbers.push(number);
+        self.colours.push(FaceColours::of(&image, &face));
+        Ok(())
+    }
+
+    /// Deletes the pictures in which something hides the face, and numbers the others anew.
+    fn leave_out_hidden(&mut self, dir: &Path) -> anyhow::Result<()> {
+        let hidden = hidden(&self.colours);
+        let count = hidden.iter().filter(|hidden| **hidden).count();
+        if 2 * count > hidden.len() {
+            log::warn!(
+                "the colours of the face change so much along the video that it is unknown where something hides it"
+            );
+            return Ok(());
+        }
+        let picture = |timestep: usize| dir.join(image_name(timestep as u32));
+        let (mut landmarks, mut numbers) = (Landmarks::default(), Vec::new());
+        for (timestep, hidden) in hidden.iter().enumerate() {
+            let from = picture(timestep);
+            let moved = match (hidden, self.landmarks.get(timestep as u32, CAMERA)) {
+                (false, Some(face)) => {
+                    landmarks.insert(numbers.len() as u32, CAMERA, *face);
+                    numbers.push(self.numbers[timestep]);
+                    std::fs::rename(&from, picture(numbers.len() - 1))
+                }
+                _ => std::fs::remove_file(&from),
+            };
+            moved.with_context(|| from.display().to_string())?;
+        }
+        (self.landmarks, self.numbers, self.hidden) = (landmarks, numbers, count);
         Ok(())
     }
 }

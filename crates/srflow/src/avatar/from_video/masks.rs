@@ -2,12 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use srflow_avatar::capture::CaptureView;
 use srflow_core::Plane;
 use srflow_face::PersonMask;
-use srflow_files::read_image;
+use srflow_files::{create_folder, read_image};
 use srflow_render::generate::write_alpha;
 
 use super::frames::{CAMERA, image_name};
+use crate::Watch;
 
 /// Folder of the masks.
 pub const MASKS: &str = "fg_masks";
@@ -44,6 +46,29 @@ pub fn write_mask(
         None => near,
     };
     Ok(write_alpha(&dir.join(mask_name(timestep)), &alpha, &mut Vec::new())?)
+}
+
+/// Writes a mask of the person for each picture; `false` when it was stopped.
+///
+/// # Errors
+/// As of [`write_mask`].
+pub fn write_person_masks(
+    dir: &Path,
+    views: &[CaptureView],
+    person: &PersonMask,
+    watch: &Watch,
+) -> anyhow::Result<bool> {
+    create_folder(&dir.join(MASKS))?;
+    let progress = watch.count("masks", views.len() as u64);
+    for view in views {
+        if watch.stops() {
+            return Ok(false);
+        }
+        let mask = person.mask(&read_image(&dir.join(&view.image))?)?;
+        write_alpha(&dir.join(mask_name(view.timestep)), &mask, &mut Vec::new())?;
+        progress.inc();
+    }
+    Ok(true)
 }
 
 /// 1 on the surface and around it, up to so many of its widths, but not below its lowest row; else 0.

@@ -1,23 +1,23 @@
 //! An avatar from a video of one person.
 
+mod capture;
 mod frames;
+mod hidden;
 mod masks;
 mod page;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use srflow_avatar::HeadSource;
-use srflow_avatar::capture::{Capture, CaptureView, LANDMARKS_NAME, split_of, write_transforms};
+use srflow_avatar::capture::{Capture, write_transforms};
 use srflow_avatar::train::RUN_NAME;
-use srflow_core::{Plane, SettingError};
-use srflow_face::{FaceFinder, PersonMask};
+use srflow_core::Plane;
+use srflow_face::PersonMask;
 use srflow_files::{FileKind, create_folder, parse_error_in_words, read_text, write_file};
 use srflow_head::{HeadModel, HeadParameters, PoseParameters, ShapedHead};
-use srflow_splat::Camera;
 
 use super::fit::{FIT_NAME, FitJob};
 use super::mesh_picture::shading;
@@ -26,9 +26,10 @@ use crate::clap::Args;
 use crate::error::wrong_settings;
 use crate::face::face_models;
 use crate::output::{ensure_folder, write_line, write_page};
-use crate::video::facts;
 use crate::{Job, Report, Watch, WhenStopped};
-use frames::{CAMERA, Frames, choose, image_name};
+pub(super) use capture::{CapturedVideo, focal_text};
+pub use capture::{FocalSource, VideoArgs};
+pub(super) use masks::write_person_masks;
 use masks::{MASKS, mask_name, write_mask};
 
 /// Make an avatar from a video of one person
@@ -54,28 +55,11 @@ pub struct FromVideoJob {
     #[arg(long, value_name = "HEAD", default_value_t = default_model(), help = crate::render::head_help())]
     #[serde(default = "default_model")]
     pub model: HeadSource,
-    /// Use at most this many frames, spread over the video
-    #[arg(long, value_name = "N", default_value_t = default_frames())]
-    #[serde(default = "default_frames")]
-    pub frames: usize,
-    /// Focal length in pixels [default: recorded in the video, else 1.1 longer sides]
-    #[arg(long, value_name = "PIXELS")]
-    #[serde(default)]
-    pub focal: Option<f64>,
     /// Distance between the pupils in millimetres, about 63 in adults; gives the scale that a single camera
     /// cannot see
     #[arg(long, value_name = "MM")]
     #[serde(default)]
     pub eye_distance: Option<f64>,
-    /// Face to follow if there are several; 1 is the leftmost
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    #[serde(default)]
-    pub face_index: Option<u16>,
-    /// MediaPipe's package, as a folder or .whl file, or a folder with its networks
-    /// [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed]
-    #[arg(long, value_name = "PATH")]
-    #[serde(default)]
-    pub face_models: Option<PathBuf>,
     /// Preset or TOML file of the training
     #[arg(long, value_name = "PRESET|FILE", default_value_os_t = default_config())]
     #[serde(default = "default_config")]
@@ -88,14 +72,13 @@ pub struct FromVideoJob {
     #[arg(long)]
     #[serde(default)]
     pub force: bool,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub capture: VideoArgs,
 }
 
 fn default_model() -> HeadSource {
     "builtin-average".parse().unwrap_or_else(|_| HeadSource::builtin())
-}
-
-fn default_frames() -> usize {
-    240
 }
 
 fn default_config() -> PathBuf {
@@ -119,28 +102,13 @@ struct VideoRecord {
     frames: u64,
     /// Those that were chosen.
     chosen: usize,
+    /// Those that were chosen but left out, since something hides the face.
+    #[serde(default)]
+    hidden: usize,
     /// Pixels.
     focal: f64,
     focal_source: FocalSource,
 }
-
-/// Where a focal length is from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FocalSource {
-    Given,
-    /// The camera wrote it into the video.
-    Recorded,
-    /// The usual one of phones and notebooks: 1.1 longer sides of the frame.
-    Assumed,
-}
-
-/// The focal length of most cameras that people film themselves with, in longer sides of the frame, is this times or divided by 1.5. The
-/// perspective of a face does not tell it: a detector's landmarks are off by more than that changes.
-const USUAL_FOCAL: f64 = 1.1;
-
-/// The longer side of a frame of 35 mm film, millimetres.
-const FILM: f64 = 36.0;
 
 impl Job for FromVideoJob {
     const NAME: &'static str = "avatar from-video";
@@ -150,15 +118,8 @@ impl Job for FromVideoJob {
 
     fn work(&self, watch: &Watch) -> anyhow::Result<AvatarOfVideo> {
         ensure_folder(&self.out)?;
-        if self.frames == 0 {
-            let (field, expected) = ("frames", "at least 1".to_owned());
-            return Err(SettingError { field, found: "0".to_owned(), expected }.into());
-        }
-        if let Some(focal) = self.focal.filter(|focal| !(*focal >= 1.0 && focal.is_finite())) {
-            let (field, expected) = ("focal", "a number of pixels above 1".to_owned());
-            return Err(SettingError { field, found: focal.to_string(), expected }.into());
-        }
-        let models = face_models(self.face_models.as_deref())?;
+        self.capture.check()?;
+        let models = face_models(self.capture.face_models.as_deref())?;
         let mut made = AvatarOfVideo::stopped(&self.out);
         let record = match self.begun()? {
             Some(record) => record,
@@ -168,6 +129,7 @@ impl Job for FromVideoJob {
             },
         };
         made.frames = record.chosen;
+        made.hidden = record.hidden;
         made.focal = Some((record.focal, record.focal_source));
         if watch.stops() {
             return Ok(made);
@@ -198,10 +160,10 @@ impl FromVideoJob {
             "video": self.video.file_name().unwrap_or_default().to_string_lossy(),
             "bytes": bytes,
             "model": self.model.to_string(),
-            "frames": self.frames,
-            "focal": self.focal,
+            "frames": self.capture.most_frames(),
+            "focal": self.capture.focal,
             "eye_distance": self.eye_distance,
-            "face_index": self.face_index,
+            "face_index": self.capture.face_index,
             "config": self.config,
             "iterations": self.iterations,
         }))
@@ -247,28 +209,14 @@ impl FromVideoJob {
     /// Writes the capture: frames, landmarks and the camera. `None` when it was stopped.
     fn capture(&self, models: &Path, watch: &Watch) -> anyhow::Result<Option<VideoRecord>> {
         let settings = self.determining()?;
-        create_folder(&self.out)?;
-        let facts = facts(&self.video);
-        let Some(frames) = choose(self, facts.frames, FaceFinder::read(models)?, watch)? else {
+        let Some(captured) = self.capture.capture(&self.video, &self.out, models, watch)? else {
             return Ok(None);
         };
-        frames.landmarks.write(&self.out.join(LANDMARKS_NAME))?;
-        let (focal, source) = self.focal_length(frames.size, facts.focal_length_35mm);
-        write_transforms(&self.out, &views(&frames, focal))?;
-        let (of, chosen) = (frames.of, frames.numbers.len());
-        let record = VideoRecord { settings, frames: of, chosen, focal, focal_source: source };
+        write_transforms(&self.out, &captured.views)?;
+        let CapturedVideo { views, frames, hidden, focal, focal_source } = captured;
+        let record = VideoRecord { settings, frames, chosen: views.len(), hidden, focal, focal_source };
         write_file(&self.out.join(VIDEO_NAME), serde_json::to_string_pretty(&record)? + "\n")?;
         Ok(Some(record))
-    }
-
-    /// In pixels, for frames of this size; `recorded` in the format of 35 mm film, millimetres.
-    fn focal_length(&self, (width, height): (usize, usize), recorded: Option<f64>) -> (f64, FocalSource) {
-        let side = width.max(height) as f64;
-        match (self.focal, recorded) {
-            (Some(given), _) => (given, FocalSource::Given),
-            (None, Some(millimetres)) => (side * millimetres / FILM, FocalSource::Recorded),
-            (None, None) => (side * USUAL_FOCAL, FocalSource::Assumed),
-        }
     }
 
     fn fit(&self, watch: &Watch) -> anyhow::Result<()> {
@@ -350,33 +298,6 @@ impl FittedHead {
     }
 }
 
-/// The pictures of a camera in front of the head, with square pixels and its axis through the middle.
-fn views(frames: &Frames, focal: f64) -> Vec<CaptureView> {
-    let facing = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
-    let camera = Camera::centred(frames.size, [focal; 2]).placed(facing, DVec3::Z);
-    let timesteps: Vec<u32> = (0..frames.numbers.len() as u32).collect();
-    let split_of = split_of(&timesteps, &[CAMERA]);
-    let view = |timestep: &u32| CaptureView {
-        split: split_of(*timestep, CAMERA),
-        timestep: *timestep,
-        camera_index: CAMERA,
-        camera,
-        image: image_name(*timestep),
-        mask: Some(mask_name(*timestep)),
-        parameters: None,
-    };
-    timesteps.iter().map(view).collect()
-}
-
-fn focal_text(pixels: f64, source: FocalSource) -> String {
-    let source = match source {
-        FocalSource::Given => "as given",
-        FocalSource::Recorded => "as the camera recorded it",
-        FocalSource::Assumed => "assumed; give `focal` if you know it",
-    };
-    format!("{pixels:.0} px, {source}")
-}
-
 /// What [`FromVideoJob`] made.
 #[derive(Debug, Clone, Serialize)]
 pub struct AvatarOfVideo {
@@ -386,6 +307,8 @@ pub struct AvatarOfVideo {
     pub focal: Option<(f64, FocalSource)>,
     /// Frames that were chosen.
     pub frames: usize,
+    /// Frames that were left out, since something hides the face.
+    pub hidden: usize,
     pub out: PathBuf,
     /// The report as a page, once the run is complete.
     pub report: Option<PathBuf>,
@@ -401,6 +324,7 @@ impl AvatarOfVideo {
             avatar: None,
             focal: None,
             frames: 0,
+            hidden: 0,
             out: out.to_owned(),
             report: None,
             stopped: true,
@@ -418,7 +342,11 @@ impl Report for AvatarOfVideo {
 impl fmt::Display for AvatarOfVideo {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         if let Some((focal, source)) = self.focal {
-            writeln!(f, "{} frames, focal length {}", self.frames, focal_text(focal, source))?;
+            let hidden = match self.hidden {
+                0 => String::new(),
+                hidden => format!(" ({hidden} more show something before the face)"),
+            };
+            writeln!(f, "{} frames{hidden}, focal length {}", self.frames, focal_text(focal, source))?;
         }
         let (Some(avatar), Some(report)) = (&self.avatar, &self.report) else {
             return writeln!(f, "Stopped on request; the same command continues");

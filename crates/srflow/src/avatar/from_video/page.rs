@@ -79,6 +79,12 @@ pub fn page(
     ];
     let reach = Motion::of(poses);
     known.extend(reach.facts());
+    if record.hidden > 0 {
+        known.push((
+            "left out, since something hides the face".to_owned(),
+            format!("{} frames", record.hidden),
+        ));
+    }
     let mut numbers = vec![
         (record.chosen.to_string(), format!("of {} frames", record.frames)),
         (trained.gaussians.to_string(), "Gaussians".to_owned()),

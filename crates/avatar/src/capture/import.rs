@@ -173,7 +173,12 @@ pub fn import(request: &ImportRequest<'_>) -> Result<Imported, FileError> {
     if found.is_empty() {
         let expected = format!("the cameras of the pictures: {}", some(&unknown_cameras));
         let names: Vec<String> = known.keys().map(|name| (*name).to_owned()).collect();
-        return Err(problem("cameras", expected, some(&names)).in_file(file));
+        let stems = || files.iter().filter_map(|path| Path::new(path).file_stem()?.to_str());
+        let advice = match names.iter().any(|name| stems().any(|stem| stem == name)) {
+            true => ", which are the names of pictures; name each camera as `{camera}` matches it",
+            false => "",
+        };
+        return Err(problem("cameras", expected, some(&names) + advice).in_file(file));
     }
     let mut names: Vec<String> = found.keys().cloned().collect();
     names.sort_by(|a, b| (a.parse::<u64>().ok(), a).cmp(&(b.parse::<u64>().ok(), b)));

@@ -49,7 +49,11 @@ impl Capture {
             let path = dir.join("transforms.json");
             if !path.exists() {
                 let expected = "a capture as VHAP exports it, with transforms_train.json or transforms.json";
-                let problem = problem("folder", expected, "neither");
+                let found = match dir.is_file() {
+                    true => "a file; `srflow avatar import` makes a capture of a video or of pictures",
+                    false => "neither",
+                };
+                let problem = problem("folder", expected, found);
                 return Err(FileError { path: dir.to_owned(), problem });
             }
             add(&mut views, &path, CaptureSplit::Train)?;

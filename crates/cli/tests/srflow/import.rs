@@ -67,5 +67,19 @@ fn pictures_and_cameras_become_a_capture_that_can_be_fitted() {
     let pattern = ["import", "video", "--cameras", "calibration.json", "--out", "other", "--pattern"];
     refuses(&run(&[&pattern[..], &["cam_{camera}"]].concat()), 2, &["once each"]);
     refuses(&run(&[&pattern[..], &["{camera}/{timestep}"]].concat()), 1, &["found 24 files"]);
+    let names = ["import", "made/images", "--cameras", "made/transforms.json", "--out", "other", "--pattern"];
+    refuses(
+        &run(&[&names[..], &["{timestep}_{camera}"]].concat()),
+        1,
+        &["found 00000_", "names of pictures; name each camera as `{camera}` matches it"],
+    );
     assert!(!folder.join("other").exists());
+    // A video in place of a folder.
+    fs::write(folder.join("clip.mp4"), "").unwrap();
+    refuses(&run(&["fit", "clip.mp4", "--model", "builtin", "--out", "other"]), 1, &["srflow avatar import"]);
+    let render = crate::srflow()
+        .current_dir(folder)
+        .args(["render", "--head", "avatar:clip.mp4", "--out", "set"])
+        .output();
+    refuses(&render.unwrap(), 1, &["srflow avatar from-video"]);
 }

@@ -4,6 +4,8 @@
 use srflow_core::Image;
 use srflow_face::Face;
 
+use super::hull::Hull;
+
 /// Points nearer to the outline of the face, in widths of it, are not looked at: a small error is background there.
 const OUTLINE: f64 = 0.1;
 
@@ -22,7 +24,7 @@ pub struct FaceColours(Vec<Option<[f64; 3]>>);
 
 impl FaceColours {
     pub fn of(image: &Image, face: &Face) -> Self {
-        let hull = hull(&face.mesh);
+        let hull = Hull::of(&face.mesh);
         let across = |axis: usize| {
             let all = || face.mesh.iter().map(|point| point[axis]);
             all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min)
@@ -32,7 +34,7 @@ impl FaceColours {
         let colours = face
             .mesh
             .iter()
-            .map(|point| (inside(&hull, *point) > OUTLINE * width).then(|| colour(image, *point, reach)));
+            .map(|point| (hull.depth(*point) > OUTLINE * width).then(|| colour(image, *point, reach)));
         let mut colours: Vec<Option<[f64; 3]>> = colours.collect();
         for channel in 0..3 {
             let usual = median(colours.iter().flatten().map(|colour| colour[channel]).collect());
@@ -94,50 +96,9 @@ fn median(mut numbers: Vec<f64>) -> f64 {
     *numbers.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-fn cross([ax, ay]: [f64; 2], [bx, by]: [f64; 2], [cx, cy]: [f64; 2]) -> f64 {
-    (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-}
-
-/// The convex hull, by Andrew's monotone chains.
-fn hull(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
-    let mut sorted = points.to_vec();
-    sorted.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
-    let chain = |points: &mut dyn Iterator<Item = &[f64; 2]>| {
-        let mut chain: Vec<[f64; 2]> = Vec::new();
-        for point in points {
-            while let [.., a, b] = chain[..]
-                && cross(a, b, *point) <= 0.0
-            {
-                chain.pop();
-            }
-            chain.push(*point);
-        }
-        chain.pop();
-        chain
-    };
-    [chain(&mut sorted.iter()), chain(&mut sorted.iter().rev())].concat()
-}
-
-/// How far a point is inside of a hull; negative outside.
-fn inside(hull: &[[f64; 2]], point: [f64; 2]) -> f64 {
-    let edges = hull.iter().zip(hull.iter().cycle().skip(1));
-    let distance = |(a, b): (&[f64; 2], &[f64; 2])| cross(*a, *b, point) / (b[0] - a[0]).hypot(b[1] - a[1]);
-    edges.map(distance).fold(f64::INFINITY, f64::min)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn depth_in_a_square_is_that_to_its_nearest_side() {
-        let square = hull(&[[0.0, 0.0], [4.0, 0.0], [2.0, 2.0], [4.0, 4.0], [0.0, 4.0], [1.0, 3.0]]);
-        assert_eq!(square.len(), 4);
-        assert_eq!(
-            [[2.0, 2.0], [1.0, 3.5], [5.0, 2.0]].map(|point| inside(&square, point)),
-            [2.0, 0.5, -1.0]
-        );
-    }
 
     #[test]
     fn frames_with_other_colours_at_some_points_are_hidden() {

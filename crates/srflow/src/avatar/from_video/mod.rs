@@ -3,8 +3,10 @@
 mod capture;
 mod frames;
 mod hidden;
+mod hull;
 mod masks;
 mod page;
+mod scores;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -12,7 +14,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use srflow_avatar::HeadSource;
-use srflow_avatar::capture::{Capture, write_transforms};
+use srflow_avatar::capture::{Capture, LANDMARKS_NAME, Landmarks, write_transforms};
 use srflow_avatar::train::RUN_NAME;
 use srflow_core::Plane;
 use srflow_face::PersonMask;
@@ -31,6 +33,7 @@ pub(super) use capture::{CapturedVideo, focal_text};
 pub use capture::{FocalSource, VideoArgs};
 pub(super) use masks::write_person_masks;
 use masks::{MASKS, mask_name, write_mask};
+use scores::face_scores;
 
 /// Make an avatar from a video of one person
 ///
@@ -141,7 +144,10 @@ impl Job for FromVideoJob {
         }
         let trained = self.train(watch)?;
         if !trained.stopped {
-            let page = page::page(&self.video, &self.out, &record, &head, &trained)?;
+            let landmarks = Landmarks::read(&self.out.join(LANDMARKS_NAME))?;
+            let face = face_scores(&self.out.join(AVATAR), &head.capture, &landmarks, page::FRAMES)?;
+            made.face_psnr = face.as_ref().map(|face| face.psnr);
+            let page = page::page(&self.video, &self.out, &record, &head, &trained, face.as_ref())?;
             write_file(&self.out.join(REPORT_NAME), page.html())?;
             made.avatar.clone_from(&trained.avatar);
             made.report = Some(self.out.join(REPORT_NAME));
@@ -305,6 +311,8 @@ pub struct AvatarOfVideo {
     pub avatar: Option<PathBuf>,
     /// Focal length in pixels, and where it is from; `None` before it is known.
     pub focal: Option<(f64, FocalSource)>,
+    /// PSNR on the face in held-out frames, dB, once the run is complete.
+    pub face_psnr: Option<f64>,
     /// Frames that were chosen.
     pub frames: usize,
     /// Frames that were left out, since something hides the face.
@@ -322,6 +330,7 @@ impl AvatarOfVideo {
     fn stopped(out: &Path) -> Self {
         Self {
             avatar: None,
+            face_psnr: None,
             focal: None,
             frames: 0,
             hidden: 0,
@@ -351,10 +360,8 @@ impl fmt::Display for AvatarOfVideo {
         let (Some(avatar), Some(report)) = (&self.avatar, &self.report) else {
             return writeln!(f, "Stopped on request; the same command continues");
         };
-        if let Some(training) = &self.training {
-            for score in &training.scores {
-                writeln!(f, "{:.2} dB on frames that were not trained on", score.mean.psnr)?;
-            }
+        if let Some(psnr) = self.face_psnr {
+            writeln!(f, "{psnr:.2} dB on the face in frames that were not trained on")?;
         }
         write_line(f, format_args!("Avatar: {}", avatar.display()))?;
         write_page(f, report)

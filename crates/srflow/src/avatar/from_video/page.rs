@@ -10,13 +10,14 @@ use srflow_head::PoseParameters;
 use srflow_report::html::{Film, Page, Section, facts, films, tiles};
 use srflow_report::shrink_image;
 
+use super::scores::FaceScores;
 use super::{FIT_NAME, FittedHead, HEAD, VideoRecord, focal_text};
 use crate::avatar::mesh_picture::overlay;
 use crate::avatar::train::TrainedAvatar;
 use crate::machine;
 
 /// Frames of a film.
-const FRAMES: usize = 24;
+pub const FRAMES: usize = 24;
 
 /// Most width of a frame of a film, pixels: together they may not be wider than a JPEG can be.
 const WIDTH: usize = 480;
@@ -37,6 +38,7 @@ pub fn page(
     record: &VideoRecord,
     head: &FittedHead,
     trained: &TrainedAvatar,
+    face: Option<&FaceScores>,
 ) -> anyhow::Result<Page> {
     let FittedHead { capture, poses, .. } = head;
     let fit: Value = serde_json::from_str(&read_text(&out.join(HEAD).join(FIT_NAME), FileKind::Json)?)?;
@@ -89,26 +91,30 @@ pub fn page(
         (record.chosen.to_string(), format!("of {} frames", record.frames)),
         (trained.gaussians.to_string(), "Gaussians".to_owned()),
     ];
-    numbers.extend(
-        trained
-            .scores
-            .iter()
-            .map(|score| (format!("{:.2} dB", score.mean.psnr), "PSNR, held-out frames".to_owned())),
-    );
+    let mut sections = vec![
+        Section::new(
+            "The fit",
+            "If the surface slides over the face, or the masks cut hair off or keep the background, the avatar has learned \
+             that too. Film again, closer and more slowly, or give the focal length.",
+            vec![films(&shown_films, 6.0, "")],
+        ),
+        Section::new("What is known", "Uncertainties are standard deviations.", vec![facts(&known)]),
+    ];
+    if let Some(FaceScores { psnr, shown }) = face {
+        numbers.push((format!("{psnr:.2} dB"), "PSNR on the face, held-out frames".to_owned()));
+        let shown: Vec<Image> = shown.iter().map(|pair| shrink_image(pair, 2 * WIDTH)).collect();
+        let film =
+            Film::new(&shown, "Not trained on", "Left the frames, right the avatar with the fitted pose.")?;
+        let about =
+            "The last part of the video was held out. Long hair does not follow the head, and is blurred.";
+        sections.insert(0, Section::new("The avatar", about, vec![films(&[film], 3.0, "")]));
+    }
     Ok(Page {
         title: "An avatar from a video".to_owned(),
         kicker: "srflow avatar from-video".to_owned(),
         lead: format!("{}. {}", video.display(), reach.advice()),
         opening: vec![tiles(&numbers)],
-        sections: vec![
-            Section::new(
-                "The fit",
-                "If the surface slides over the face, or the masks cut hair off or keep the background, the avatar has learned \
-                 that too. Film again, closer and more slowly, or give the focal length.",
-                vec![films(&shown_films, 6.0, "")],
-            ),
-            Section::new("What is known", "Uncertainties are standard deviations.", vec![facts(&known)]),
-        ],
+        sections,
         colophon: format!("Made by srflow {} on {}.", env!("CARGO_PKG_VERSION"), machine::describe()),
     })
 }

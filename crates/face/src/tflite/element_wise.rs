@@ -52,15 +52,14 @@ impl Binary {
             Self::Divide => a / b,
             Self::SquaredDifference => (a - b) * (a - b),
         };
-        let mut shape = [0; 3];
-        for axis in 0..3 {
-            shape[axis] = match (a.shape[axis], b.shape[axis]) {
-                (a, b) if a == b => a,
-                (1, other) | (other, 1) => other,
-                _ => {
-                    return Err(format!("expected maps of one shape, found {:?} and {:?}", a.shape, b.shape));
-                }
-            };
+        let shape = [0, 1, 2].map(|axis| match (a.shape[axis], b.shape[axis]) {
+            (1, size) | (size, 1) => size,
+            (size, other) if size == other => size,
+            // No map is so small.
+            _ => 0,
+        });
+        if shape.contains(&0) {
+            return Err(format!("expected maps of one shape, found {:?} and {:?}", a.shape, b.shape));
         }
         checked(shape)?;
         if a.shape == b.shape {

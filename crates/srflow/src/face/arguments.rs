@@ -149,7 +149,7 @@ impl FaceArgs {
     /// When landmarks or networks cannot be read.
     pub fn along(&self, video: &str) -> anyhow::Result<FaceTrack> {
         if let Some(finder) = self.finder()? {
-            return Ok(FaceTrack::Found(FoundTrack::new(finder, self.index())));
+            return Ok(FaceTrack::Found(Box::new(FoundTrack::new(finder, self.index()))));
         }
         let still = |points, crop| FaceTrack::Still(FoundFace { points, crop });
         Ok(match (&self.landmarks, self.face_box) {
@@ -194,7 +194,7 @@ impl FaceArgs {
     /// When landmarks cannot be read.
     pub fn boxes(&self) -> anyhow::Result<Option<FaceBoxes>> {
         let source = match (self.finder()?, &self.landmarks, self.face_box) {
-            (Some(finder), ..) => BoxSource::Found(finder, self.index()),
+            (Some(finder), ..) => BoxSource::Found(Box::new(finder), self.index()),
             (None, Some(path), _) => BoxSource::Table(read_table(path, &[PAIR], &[])?),
             (None, None, Some(face)) => BoxSource::Fixed(face),
             (None, None, None) => return Ok(None),
@@ -245,7 +245,7 @@ pub enum FaceTrack {
     /// By the landmarks of frames, by their numbers; `None` in frames without a face.
     Table(BTreeMap<i64, Option<FacePoints>>),
     /// Found by networks.
-    Found(FoundTrack),
+    Found(Box<FoundTrack>),
 }
 
 impl FaceTrack {
@@ -327,7 +327,7 @@ pub struct FaceBoxes {
 }
 
 enum BoxSource {
-    Found(FaceFinder, Option<usize>),
+    Found(Box<FaceFinder>, Option<usize>),
     Table(LandmarkTable),
     Fixed(FaceBox),
 }

@@ -76,7 +76,7 @@ pub(crate) fn of_subject(
 
 /// Names and sizes of the files of a head that is not made by code.
 fn head_files(head: &HeadSource) -> Result<Vec<(String, u64)>, RenderError> {
-    const EXPECTED: &str = "the file or folder of a head, as docs/reference/avatar-files.md describes it; `srflow avatar from-video` makes one of a video";
+    const EXPECTED: &str = "the file or folder of a head model or avatar (docs/reference/avatar-files.md); `srflow avatar from-video` makes one of a video";
     let files = head.paths().into_iter().map(|path| files_at(&path, "head", EXPECTED));
     Ok(files.collect::<Result<Vec<_>, _>>()?.concat())
 }

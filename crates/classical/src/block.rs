@@ -1,4 +1,4 @@
-//! Parts of a row as arrays of a known length, of which the compiler makes vectors.
+//! Parts of a row as arrays of a known length, which the compiler turns into vectors.
 
 /// `N` numbers of a row, from `start` on.
 #[inline(always)]

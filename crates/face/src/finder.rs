@@ -3,20 +3,20 @@ use std::path::Path;
 use srflow_core::Image;
 
 use crate::blendshapes::{self, BlendShapes};
-use crate::model::Model;
+use crate::model::{Model, Package};
 use crate::points::FacePoints;
 use crate::tflite::Network;
 use crate::{FaceBox, FaceError, ModelError, detector, mesh};
 
 /// The networks for faces that come together.
-struct Package {
+struct Networks {
     detector: Model,
     mesh: Model,
     blend_shapes: Option<Model>,
 }
 
 /// Those of the Python package.
-const SOLUTIONS: Package = Package {
+const SOLUTIONS: Networks = Networks {
     detector: Model {
         name: "face_detection_short_range.tflite",
         folder: "face_detection",
@@ -33,7 +33,7 @@ const SOLUTIONS: Package = Package {
 };
 
 /// Those in `face_landmarker.task`, an archive.
-const LANDMARKER: Package = Package {
+const LANDMARKER: Networks = Networks {
     detector: Model {
         name: "face_detector.tflite",
         folder: "face_landmarker",
@@ -62,7 +62,7 @@ pub struct FaceFinder {
 pub struct Face {
     /// The detector's score, 0.5 to 1.
     pub score: f32,
-    /// The 468 points of the face mesh, pixels; with the face landmarker's networks 478, of which the last ten are those of the irises.
+    /// The 468 points of the face mesh, pixels; with the face landmarker's networks 478, the irises last.
     pub mesh: Vec<[f64; 2]>,
     /// Those that are nearest to dlib's 68.
     pub points: FacePoints,
@@ -90,11 +90,12 @@ impl FaceFinder {
     /// # Errors
     /// When a file is missing, damaged, or another network.
     pub fn read(path: &Path) -> Result<Self, FaceError> {
-        let package = if LANDMARKER.mesh.is_in(path) { LANDMARKER } else { SOLUTIONS };
+        let mut package = Package::open(path)?;
+        let networks = if package.has(&LANDMARKER.mesh) { LANDMARKER } else { SOLUTIONS };
         Ok(Self {
-            detector: package.detector.read(path)?,
-            mesh: package.mesh.read(path)?,
-            blend_shapes: package.blend_shapes.map(|model| model.read(path)).transpose()?,
+            detector: package.read(&networks.detector)?,
+            mesh: package.read(&networks.mesh)?,
+            blend_shapes: networks.blend_shapes.map(|model| package.read(&model)).transpose()?,
         })
     }
 

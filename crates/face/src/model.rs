@@ -1,8 +1,11 @@
 //! Networks in MediaPipe's package.
 
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use srflow_files::{FileKind, open_zip, read_file, zip_entry, zip_entry_named};
+
+use zip::ZipArchive;
 
 use crate::tflite::Network;
 use crate::{FaceError, ModelError};
@@ -27,63 +30,76 @@ pub(crate) struct Model {
     pub(crate) check: fn(&Network) -> Result<(), String>,
 }
 
-impl Model {
-    /// Reads the network from MediaPipe's package: its wheel, its folder, or any folder with the file.
+/// Files of MediaPipe's: its wheel or another archive, its folder, or any folder with the files.
+pub(crate) struct Package<'a> {
+    path: &'a Path,
+    /// `None` for a folder.
+    archive: Option<ZipArchive<Cursor<Vec<u8>>>>,
+}
+
+impl<'a> Package<'a> {
+    /// # Errors
+    /// When it is neither a folder nor an archive that can be read.
+    pub(crate) fn open(path: &'a Path) -> Result<Self, FaceError> {
+        if path.is_dir() {
+            return Ok(Self { path, archive: None });
+        }
+        let archive = open_zip(read_file(path, FileKind::Network)?)
+            .map_err(|problem| missing(path, &format!("a file that is no whole .whl ({problem})")))?;
+        Ok(Self { path, archive: Some(archive) })
+    }
+
+    /// Whether it has the file of a network.
+    pub(crate) fn has(&self, model: &Model) -> bool {
+        match &self.archive {
+            Some(archive) => zip_entry_named(archive, model.name).is_some(),
+            None => self.file(model).is_some(),
+        }
+    }
+
+    /// Reads a network.
     ///
     /// # Errors
-    /// When the file is missing, damaged, or another network.
-    pub(crate) fn read(&self, path: &Path) -> Result<Network, FaceError> {
-        let (bytes, found) = self.bytes(path)?;
+    /// When its file is missing, damaged, or another network.
+    pub(crate) fn read(&mut self, model: &Model) -> Result<Network, FaceError> {
+        let (bytes, found) = self.bytes(model)?;
         let network = Network::parse(&bytes).and_then(|network| {
-            if network.input() != self.input {
-                let [expected, found] = [self.input, network.input()].map(|[channels, height, width]| {
+            if network.input() != model.input {
+                let [expected, found] = [model.input, network.input()].map(|[channels, height, width]| {
                     format!("{width}x{height} pixels of {channels} channels")
                 });
                 return Err(format!("expected a network for {expected}, found {found}"));
             }
-            (self.check)(&network).map(|()| network)
+            (model.check)(&network).map(|()| network)
         });
         network.map_err(|problem| ModelError { path: found, problem }.into())
     }
 
-    /// Whether its file is in a package, as far as that can be read.
-    pub(crate) fn is_in(&self, path: &Path) -> bool {
-        if path.is_dir() {
-            return self.places(path).iter().any(|file| file.exists());
-        }
-        let zip = read_file(path, FileKind::Network).ok().and_then(|bytes| open_zip(bytes).ok());
-        zip.is_some_and(|zip| zip_entry_named(&zip, self.name).is_some())
+    /// The file of a network in a folder.
+    fn file(&self, model: &Model) -> Option<PathBuf> {
+        let below_modules = self.path.join("modules").join(model.folder).join(model.name);
+        [self.path.join(model.name), below_modules].into_iter().find(|file| file.exists())
     }
 
-    /// Where the file may be below a folder.
-    fn places(&self, folder: &Path) -> [PathBuf; 2] {
-        [folder.join(self.name), folder.join("modules").join(self.folder).join(self.name)]
-    }
-
-    /// The bytes of the network, and the file that they are from.
-    fn bytes(&self, path: &Path) -> Result<(Vec<u8>, PathBuf), FaceError> {
-        let name = self.name;
-        let missing = |found: String| ModelError {
-            path: path.to_owned(),
-            problem: format!("expected {MODEL_SOURCES}, or a folder with its files; found {found}"),
-        };
-        if path.is_dir() {
-            let Some(file) = self.places(path).into_iter().find(|file| file.exists()) else {
-                return Err(missing(format!("no {name}")).into());
-            };
+    /// The bytes of a network, and the file that they are from.
+    fn bytes(&mut self, model: &Model) -> Result<(Vec<u8>, PathBuf), FaceError> {
+        let name = model.name;
+        let Some(archive) = &mut self.archive else {
+            let file = self.file(model).ok_or_else(|| missing(self.path, &format!("no {name}")))?;
             return Ok((read_file(&file, FileKind::Network)?, file));
-        }
-        let bytes = read_file(path, FileKind::Network)?;
-        let mut zip = open_zip(bytes)
-            .map_err(|problem| missing(format!("a file that is no whole .whl ({problem})")))?;
-        let Some(entry) = zip_entry_named(&zip, name) else {
-            return Err(missing(format!("no {name} inside")).into());
         };
-        let bytes = zip_entry(&mut zip, &entry, "a package of MediaPipe", LARGEST_MODEL);
+        let entry =
+            zip_entry_named(archive, name).ok_or_else(|| missing(self.path, &format!("no {name} inside")))?;
+        let bytes = zip_entry(archive, &entry, "a package of MediaPipe", LARGEST_MODEL);
         let bytes = bytes.map_err(|problem| ModelError {
-            path: path.to_owned(),
+            path: self.path.to_owned(),
             problem: format!("{entry}: {problem}; get the file again"),
         })?;
-        Ok((bytes, path.join(entry)))
+        Ok((bytes, self.path.join(entry)))
     }
+}
+
+fn missing(path: &Path, found: &str) -> ModelError {
+    let problem = format!("expected {MODEL_SOURCES}, or a folder with its files; found {found}");
+    ModelError { path: path.to_owned(), problem }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use srflow_core::resize::resize_linear;
 use srflow_core::{Image, Plane};
 
-use crate::model::Model;
+use crate::model::{Model, Package};
 use crate::region::{Beyond, Region};
 use crate::tflite::Network;
 use crate::{FaceError, ModelError};
@@ -32,7 +32,7 @@ impl PersonMask {
     /// # Errors
     /// When the file is missing, damaged, or another network.
     pub fn read(path: &Path) -> Result<Self, FaceError> {
-        Ok(Self { network: MODEL.read(path)? })
+        Ok(Self { network: Package::open(path)?.read(&MODEL)? })
     }
 
     /// For each pixel of the frame the probability, 0 to 1, that it shows a person.

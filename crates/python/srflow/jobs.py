@@ -275,9 +275,9 @@ def face(
     blendshapes: bool = False,
     viz: Path | None = None,
     face_index: int | None = None,
-    face_models: Path | None = None,
     fps: float | None = None,
     force: bool = False,
+    face_models: Path | None = None,
     callback: Callback | None = None,
 ) -> Report:
     """Write the landmarks of a face in each frame.
@@ -289,9 +289,9 @@ def face(
         blendshapes: Also write MediaPipe's 52 blend shapes; needs face_landmarker.task.
         viz: Draw the points into frames: a video, or a folder of PNGs.
         face_index: Face to follow if there are several; 1 is the leftmost.
-        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         fps: Frames per second [default: those of the video; without any, there are no timestamps].
         force: Overwrite existing files.
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         callback: Called with progress.
     """
     settings = locals()
@@ -1105,7 +1105,7 @@ def avatar_import(
         frames: Use at most this many frames, spread over the video [default: 240].
         focal: Focal length in pixels [default: recorded in the video, else 1.1 longer sides].
         face_index: Face to follow if there are several; 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or .whl file, or a folder with its networks [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         callback: Called with progress.
     """
     settings = locals()
@@ -1181,7 +1181,7 @@ def avatar_from_video(
         frames: Use at most this many frames, spread over the video [default: 240].
         focal: Focal length in pixels [default: recorded in the video, else 1.1 longer sides].
         face_index: Face to follow if there are several; 1 is the leftmost.
-        face_models: MediaPipe's package, as a folder or .whl file, or a folder with its networks [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         callback: Called with progress.
     """
     settings = locals()
@@ -1363,8 +1363,8 @@ def avatar_landmarks(
     *,
     seed: int = 1,
     viz: Path | None = None,
-    face_models: Path | None = None,
     force: bool = False,
+    face_models: Path | None = None,
     callback: Callback | None = None,
 ) -> Report:
     """Find the 68 landmarks of a head model without any.
@@ -1374,8 +1374,8 @@ def avatar_landmarks(
         out: File to write: 68 rows in dlib's order, each with three vertices and their weights.
         seed: Seed of a built-in head.
         viz: Draw the landmarks into the picture of the mesh.
-        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         force: Overwrite existing files.
+        face_models: MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed].
         callback: Called with progress.
     """
     settings = locals()

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_avatar::capture::{
     CaptureSplit, CaptureView, ImportRequest, Imported, PicturePattern, import, write_transforms,
@@ -12,11 +13,10 @@ use srflow_core::{SettingError, excerpts};
 use srflow_face::PersonMask;
 use srflow_files::create_folder;
 
-use super::from_video::{CapturedVideo, FocalSource, VideoArgs, focal_text, write_person_masks};
+use super::from_video::{CapturedVideo, FocalSource, MASKS, VideoArgs, focal_text, write_masks};
 use super::paths::from_to;
 use crate::clap::Args;
 use crate::error::wrong_settings;
-use crate::face::face_models;
 use crate::output::{ensure_folder, ensure_free, write_line};
 use crate::video::is_video;
 use crate::{Job, Report, Watch};
@@ -134,17 +134,23 @@ impl ImportJob {
             );
         }
         self.video.check()?;
-        let models = face_models(self.video.face_models.as_deref())?;
+        let models = self.video.models.path()?;
         let Some(captured) = self.video.capture(&self.pictures, &self.out, &models, watch)? else {
             return Ok(ImportReport::stopped(self));
         };
         let CapturedVideo { mut views, hidden, focal, focal_source, .. } = captured;
         let person = PersonMask::read(&models).map_err(|error| log::warn!("{error}: there are no masks"));
         match &person {
-            Ok(person) if !write_person_masks(&self.out, &views, person, watch)? => {
-                return Ok(ImportReport::stopped(self));
+            Ok(person) => {
+                // Those of earlier frames.
+                let masks = self.out.join(MASKS);
+                if masks.exists() {
+                    std::fs::remove_dir_all(&masks).with_context(|| masks.display().to_string())?;
+                }
+                if !write_masks(&self.out, &views, watch, |_, image| Ok(person.mask(image)?))? {
+                    return Ok(ImportReport::stopped(self));
+                }
             }
-            Ok(_) => {}
             Err(()) => views.iter_mut().for_each(|view| view.mask = None),
         }
         write_transforms(&self.out, &views)?;

@@ -16,7 +16,7 @@ use srflow_splat::Camera;
 use super::mesh::default_seed;
 use super::mesh_picture::{SurfacePoint, visible};
 use crate::clap::Args;
-use crate::face::{draw_points, face_models};
+use crate::face::{FaceModels, draw_points};
 use crate::output::{ensure_extension, ensure_free, write_line};
 use crate::{Job, Report, Watch};
 
@@ -44,16 +44,13 @@ pub struct LandmarksJob {
     #[arg(long, value_name = "PNG")]
     #[serde(default)]
     pub viz: Option<PathBuf>,
-    /// MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with
-    /// face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the
-    /// package that python3 has installed]
-    #[arg(long, value_name = "PATH")]
-    #[serde(default)]
-    pub face_models: Option<PathBuf>,
     /// Overwrite existing files
     #[arg(long)]
     #[serde(default)]
     pub force: bool,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub models: FaceModels,
 }
 
 /// Side of the pictures, pixels.
@@ -90,7 +87,7 @@ impl Job for LandmarksJob {
         self.viz.as_ref().map_or(Ok(()), |viz| ensure_extension(viz, "png"))?;
         ensure_free([Some(&self.out), self.viz.as_ref()].into_iter().flatten(), self.force)?;
         let model = self.model.model(self.seed).with_context(|| format!("reading {}", self.model))?;
-        let finder = FaceFinder::read(&face_models(self.face_models.as_deref())?)?;
+        let finder = FaceFinder::read(&self.models.path()?)?;
         let (surface, triangles) = model.surface(&model.template);
         // Hair and glasses would hide the face.
         let face = triangles.iter().zip(&model.regions).filter(|(_, region)| **region != Region::Clear);
@@ -115,8 +112,8 @@ impl Job for LandmarksJob {
 struct SeenMesh {
     /// Nearest points of its pixels.
     points: Vec<Option<SurfacePoint>>,
-    /// Their depths, in pixels of the picture; infinite where there is no mesh.
-    depths: Vec<f64>,
+    /// Pixels of the picture for each unit of depth: from so far away, it is the same for all of the mesh.
+    pixels_per_unit: f64,
     picture: Image,
     face: Face,
     facing: DVec3,
@@ -132,19 +129,8 @@ impl SeenMesh {
             let points = visible(vertices, triangles, camera);
             let picture = lit(&points, triangles, &normals, facing, up);
             let face = finder.faces(&picture)?.into_iter().max_by(|a, b| a.score.total_cmp(&b.score));
-            let depths: Vec<f64> = points
-                .iter()
-                .map(|point| {
-                    point.map_or(f64::INFINITY, |(triangle, weights)| {
-                        let corners = triangles[triangle].iter().zip(weights.to_array());
-                        let place: DVec3 =
-                            corners.map(|(v, weight)| vertices[*v as usize].as_dvec3() * weight).sum();
-                        // From so far away, all of the mesh has the same scale.
-                        camera.position().distance(place) * camera.fx / camera.position().distance(centre)
-                    })
-                })
-                .collect();
-            Ok(face.map(|face| Self { points, depths, picture, face, facing }))
+            let pixels_per_unit = camera.fx / camera.position().distance(centre);
+            Ok(face.map(|face| Self { points, pixels_per_unit, picture, face, facing }))
         };
         let mut best: Option<(Self, Camera, [DVec3; 2])> = None;
         for axes in FACING {
@@ -168,12 +154,15 @@ impl SeenMesh {
     /// The rows of the file.
     fn rows(&self, triangles: &[[u32; 3]]) -> String {
         let row = |landmark: &[f64; 2]| {
-            self.on_surface(landmark).map_or_else(String::new, |(triangle, weights)| {
-                let corners = triangles[triangle].iter().zip(weights.to_array());
-                let cells: Vec<String> =
-                    corners.map(|(vertex, weight)| format!("{vertex} {weight:.4}")).collect();
-                cells.join(" ") + "\n"
-            })
+            self.on_surface(landmark).map_or_else(
+                String::new,
+                |SurfacePoint { triangle, weights, .. }| {
+                    let corners = triangles[triangle].iter().zip(weights.to_array());
+                    let cells: Vec<String> =
+                        corners.map(|(vertex, weight)| format!("{vertex} {weight:.4}")).collect();
+                    cells.join(" ") + "\n"
+                },
+            )
         };
         self.landmarks().iter().map(row).collect()
     }
@@ -188,9 +177,10 @@ impl SeenMesh {
         let shown = || self.points.iter().enumerate().filter_map(|(pixel, point)| Some((pixel, (*point)?)));
         let near: Vec<(usize, SurfacePoint)> =
             shown().filter(|(pixel, _)| away(*pixel) < NEAR * NEAR).collect();
-        let front = near.iter().map(|(pixel, _)| self.depths[*pixel]).fold(f64::INFINITY, f64::min);
-        let cost = |pixel: usize| away(pixel) + (BEHIND * (self.depths[pixel] - front)).powi(2);
-        let best = near.into_iter().min_by(|(a, _), (b, _)| cost(*a).total_cmp(&cost(*b)));
+        let front = near.iter().map(|(_, point)| point.depth).fold(f64::INFINITY, f64::min);
+        let behind = |point: &SurfacePoint| BEHIND * self.pixels_per_unit * (point.depth - front);
+        let cost = |(pixel, point): &(usize, SurfacePoint)| away(*pixel) + behind(point).powi(2);
+        let best = near.iter().copied().min_by(|a, b| cost(a).total_cmp(&cost(b)));
         best.or_else(|| shown().min_by(|(a, _), (b, _)| away(*a).total_cmp(&away(*b))))
             .map(|(_, point)| point)
     }
@@ -242,7 +232,7 @@ fn lit(
     const BEHIND: [u8; 3] = [96, 104, 112];
     let light = (facing + 0.6 * up).normalize();
     Image::from_fn(SIDE, SIDE, |x, y| {
-        let Some((triangle, weights)) = points[y * SIDE + x] else { return BEHIND };
+        let Some(SurfacePoint { triangle, weights, .. }) = points[y * SIDE + x] else { return BEHIND };
         let corners = triangles[triangle].iter().zip(weights.to_array());
         let normal: DVec3 =
             corners.map(|(vertex, weight)| normals[*vertex as usize].as_dvec3() * weight).sum();

@@ -4,14 +4,20 @@ use glam::{DVec2, DVec3, Vec3};
 use srflow_core::{Image, Plane};
 use srflow_splat::Camera;
 
-/// A point of a mesh that a camera sees: the triangle, and the weights of its corners.
-pub type SurfacePoint = (usize, DVec3);
+/// A point of a mesh that a camera sees.
+#[derive(Debug, Clone, Copy)]
+pub struct SurfacePoint {
+    pub triangle: usize,
+    /// Weights of the triangle's corners.
+    pub weights: DVec3,
+    /// Along the camera's axis.
+    pub depth: f64,
+}
 
 /// The nearest point of the surface at each pixel, row by row; `None` where there is none.
 pub fn visible(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Vec<Option<SurfacePoint>> {
     let (width, height) = (camera.width, camera.height);
-    let mut points = vec![None; width * height];
-    let mut nearest = vec![f64::INFINITY; width * height];
+    let mut points: Vec<Option<SurfacePoint>> = vec![None; width * height];
     let seen: Vec<Option<(DVec2, f64)>> =
         vertices.iter().map(|vertex| camera.project(vertex.as_dvec3())).collect();
     for (number, triangle) in triangles.iter().enumerate() {
@@ -37,10 +43,9 @@ pub fn visible(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Ve
                 // On the surface the weights are those in the picture, each by its corner's depth.
                 let by_depth = DVec3::new((1.0 - of_b - of_c) / da, of_b / db, of_c / dc);
                 let depth = 1.0 / by_depth.element_sum();
-                let nearest = &mut nearest[y * width + x];
-                if depth < *nearest {
-                    *nearest = depth;
-                    points[y * width + x] = Some((number, by_depth * depth));
+                let nearest = &mut points[y * width + x];
+                if nearest.is_none_or(|nearest| depth < nearest.depth) {
+                    *nearest = Some(SurfacePoint { triangle: number, weights: by_depth * depth, depth });
                 }
             }
         }
@@ -61,7 +66,7 @@ pub fn shading(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Pl
         .collect();
     let points = visible(vertices, triangles, camera);
     Plane::from_fn(camera.width, camera.height, |x, y| {
-        points[y * camera.width + x].map_or(0.0, |(triangle, _)| lit[triangle])
+        points[y * camera.width + x].map_or(0.0, |point| lit[point.triangle])
     })
 }
 
@@ -93,7 +98,7 @@ mod tests {
         assert_eq!(both.get(10, 10), near.get(10, 10));
         assert!(near.get(10, 10) > 0.9 && near.get(1, 1) == 0.0);
         let points = visible(&vertices, &[[0, 1, 2], [3, 4, 5]], &camera);
-        let (triangle, weights) = points[10 * 20 + 10].unwrap();
+        let SurfacePoint { triangle, weights, .. } = points[10 * 20 + 10].unwrap();
         let corners = [3, 4, 5].map(|v: usize| vertices[v].as_dvec3());
         let place: DVec3 =
             corners.iter().zip(weights.to_array()).map(|(corner, weight)| *corner * weight).sum();

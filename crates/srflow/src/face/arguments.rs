@@ -203,11 +203,32 @@ impl FaceArgs {
     }
 }
 
+/// Where MediaPipe's networks are, for jobs that always need them.
+#[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct FaceModels {
+    /// MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with
+    /// face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the
+    /// package that python3 has installed]
+    #[arg(long, value_name = "PATH")]
+    pub face_models: Option<PathBuf>,
+}
+
+impl FaceModels {
+    /// Their place.
+    ///
+    /// # Errors
+    /// As of [`face_models`].
+    pub fn path(&self) -> anyhow::Result<PathBuf> {
+        face_models(self.face_models.as_deref())
+    }
+}
+
 /// Where MediaPipe's networks are: in the path that is given, else in that of the environment, else in Python's package.
 ///
 /// # Errors
 /// Says where to get them when they are nowhere.
-pub fn face_models(given: Option<&Path>) -> anyhow::Result<PathBuf> {
+fn face_models(given: Option<&Path>) -> anyhow::Result<PathBuf> {
     let elsewhere = || std::env::var_os(FACE_MODELS_VARIABLE).map(PathBuf::from).or_else(installed_mediapipe);
     match given.map(Path::to_owned).or_else(elsewhere) {
         Some(path) => Ok(path),

@@ -14,7 +14,7 @@ use srflow_face::FaceFinder;
 use srflow_files::write_file;
 
 pub use arguments::{
-    FACE_MODELS_VARIABLE, FaceArgs, FaceBoxes, FaceTrack, FoundFace, FoundTrack, face_models,
+    FACE_MODELS_VARIABLE, FaceArgs, FaceBoxes, FaceModels, FaceTrack, FoundFace, FoundTrack,
 };
 use picture::Pictures;
 pub(crate) use picture::draw_points;
@@ -64,12 +64,6 @@ pub struct FaceJob {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     #[serde(default)]
     pub face_index: Option<u16>,
-    /// MediaPipe's networks: face_landmarker.task, its package as a folder or .whl file, or a folder with
-    /// face_detection_short_range.tflite and face_landmark.tflite [default: $SRFLOW_FACE_MODELS, or the
-    /// package that python3 has installed]
-    #[arg(long, value_name = "PATH")]
-    #[serde(default)]
-    pub face_models: Option<PathBuf>,
     /// Frames per second [default: those of the video; without any, there are no timestamps]
     #[arg(long, value_name = "FPS")]
     #[serde(default)]
@@ -78,6 +72,9 @@ pub struct FaceJob {
     #[arg(long)]
     #[serde(default)]
     pub force: bool,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub models: FaceModels,
 }
 
 /// Which points of a face are written.
@@ -104,7 +101,7 @@ impl Job for FaceJob {
         }
         ensure_free([Some(&self.out), self.viz.as_ref()].into_iter().flatten(), self.force)?;
         let source = Source::of_any(&self.frames)?;
-        let finder = FaceFinder::read(&face_models(self.face_models.as_deref())?)?;
+        let finder = FaceFinder::read(&self.models.path()?)?;
         if self.blendshapes && !finder.has_blend_shapes() {
             wrong_settings!(
                 "`blendshapes` needs the networks in face_landmarker.task: give it with `face_models`"

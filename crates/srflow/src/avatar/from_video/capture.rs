@@ -1,6 +1,6 @@
 //! A capture from a video: frames, landmarks and the camera.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -14,6 +14,7 @@ use super::frames::{CAMERA, Frames, choose, image_name};
 use super::masks::mask_name;
 use crate::Watch;
 use crate::clap::Args;
+use crate::face::FaceModels;
 use crate::video::facts;
 
 /// How a capture is made of a video.
@@ -29,10 +30,9 @@ pub struct VideoArgs {
     /// Face to follow if there are several; 1 is the leftmost
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub face_index: Option<u16>,
-    /// MediaPipe's package, as a folder or .whl file, or a folder with its networks
-    /// [default: $SRFLOW_FACE_MODELS, or the package that python3 has installed]
-    #[arg(long, value_name = "PATH")]
-    pub face_models: Option<PathBuf>,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub models: FaceModels,
 }
 
 /// Where a focal length is from.
@@ -82,12 +82,12 @@ impl VideoArgs {
 
     /// The first of these settings that is given.
     pub fn given(&self) -> Option<&'static str> {
-        let Self { frames, focal, face_index, face_models } = self;
+        let Self { frames, focal, face_index, models } = self;
         [
             ("frames", frames.is_some()),
             ("focal", focal.is_some()),
             ("face_index", face_index.is_some()),
-            ("face_models", face_models.is_some()),
+            ("face_models", models.face_models.is_some()),
         ]
         .into_iter()
         .find_map(|(name, given)| given.then_some(name))

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::capture::CaptureView;
-use srflow_core::Plane;
+use srflow_core::{Image, Plane};
 use srflow_face::PersonMask;
 use srflow_files::{create_folder, read_image};
 use srflow_render::generate::write_alpha;
@@ -25,50 +25,42 @@ pub fn mask_name(timestep: u32) -> PathBuf {
     Path::new(MASKS).join(format!("{timestep:05}_{CAMERA:02}.png"))
 }
 
-/// Writes the mask of a timestep: where there is a person, as far as it is near to the fitted surface and not below it. Without a network
-/// for persons, the surroundings of the surface.
+/// Writes the masks that are missing, by the place of the view and its picture; `false` when it was stopped.
 ///
 /// # Errors
-/// When the picture cannot be read, the network fails, or the mask cannot be written.
-pub fn write_mask(
-    dir: &Path,
-    timestep: u32,
-    shading: &Plane,
-    person: Option<&PersonMask>,
-) -> anyhow::Result<()> {
-    let image = read_image(&dir.join(image_name(timestep)))?;
-    let near = surroundings(shading, if person.is_some() { HAIR } else { GUESSED_HAIR });
-    let alpha = match person {
-        Some(person) => {
-            let person = person.mask(&image)?;
-            Plane::from_fn(image.width(), image.height(), |x, y| person.get(x, y) * near.get(x, y))
-        }
-        None => near,
-    };
-    Ok(write_alpha(&dir.join(mask_name(timestep)), &alpha, &mut Vec::new())?)
-}
-
-/// Writes a mask of the person for each picture; `false` when it was stopped.
-///
-/// # Errors
-/// As of [`write_mask`].
-pub fn write_person_masks(
+/// When a picture cannot be read, there is no mask for it, or the mask cannot be written.
+pub fn write_masks(
     dir: &Path,
     views: &[CaptureView],
-    person: &PersonMask,
     watch: &Watch,
+    mask: impl Fn(usize, &Image) -> anyhow::Result<Plane>,
 ) -> anyhow::Result<bool> {
     create_folder(&dir.join(MASKS))?;
     let progress = watch.count("masks", views.len() as u64);
-    for view in views {
+    for (place, view) in views.iter().enumerate() {
         if watch.stops() {
             return Ok(false);
         }
-        let mask = person.mask(&read_image(&dir.join(&view.image))?)?;
-        write_alpha(&dir.join(mask_name(view.timestep)), &mask, &mut Vec::new())?;
+        let file = dir.join(mask_name(view.timestep));
+        if !file.exists() {
+            let image = read_image(&dir.join(image_name(view.timestep)))?;
+            write_alpha(&file, &mask(place, &image)?, &mut Vec::new())?;
+        }
         progress.inc();
     }
     Ok(true)
+}
+
+/// Where there is a person, as far as it is near to the fitted surface and not below it. Without a network for persons, the
+/// surroundings of the surface.
+///
+/// # Errors
+/// When the network fails.
+pub fn head_mask(image: &Image, shading: &Plane, person: Option<&PersonMask>) -> anyhow::Result<Plane> {
+    let near = surroundings(shading, if person.is_some() { HAIR } else { GUESSED_HAIR });
+    let Some(person) = person else { return Ok(near) };
+    let person = person.mask(image)?;
+    Ok(Plane::from_fn(image.width(), image.height(), |x, y| person.get(x, y) * near.get(x, y)))
 }
 
 /// 1 on the surface and around it, up to so many of its widths, but not below its lowest row; else 0.

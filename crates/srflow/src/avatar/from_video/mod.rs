@@ -18,7 +18,7 @@ use srflow_avatar::capture::{Capture, LANDMARKS_NAME, Landmarks, write_transform
 use srflow_avatar::train::RUN_NAME;
 use srflow_core::Plane;
 use srflow_face::PersonMask;
-use srflow_files::{FileKind, create_folder, parse_error_in_words, read_text, write_file};
+use srflow_files::{FileKind, parse_error_in_words, read_text, write_file};
 use srflow_head::{HeadModel, HeadParameters, PoseParameters, ShapedHead};
 
 use super::fit::{FIT_NAME, FitJob};
@@ -26,13 +26,12 @@ use super::mesh_picture::shading;
 use super::train::{Overrides, TrainJob, TrainReport, TrainedAvatar};
 use crate::clap::Args;
 use crate::error::wrong_settings;
-use crate::face::face_models;
 use crate::output::{ensure_folder, write_line, write_page};
 use crate::{Job, Report, Watch, WhenStopped};
 pub(super) use capture::{CapturedVideo, focal_text};
 pub use capture::{FocalSource, VideoArgs};
-pub(super) use masks::write_person_masks;
-use masks::{MASKS, mask_name, write_mask};
+use masks::head_mask;
+pub(super) use masks::{MASKS, write_masks};
 use scores::face_scores;
 
 /// Make an avatar from a video of one person
@@ -122,7 +121,7 @@ impl Job for FromVideoJob {
     fn work(&self, watch: &Watch) -> anyhow::Result<AvatarOfVideo> {
         ensure_folder(&self.out)?;
         self.capture.check()?;
-        let models = face_models(self.capture.face_models.as_deref())?;
+        let models = self.capture.models.path()?;
         let mut made = AvatarOfVideo::stopped(&self.out);
         let record = match self.begun()? {
             Some(record) => record,
@@ -239,19 +238,9 @@ impl FromVideoJob {
         let person = PersonMask::read(models).map_err(|error| {
             log::warn!("{error}: masks follow the fitted head instead of the person");
         });
-        create_folder(&self.out.join(MASKS))?;
-        let views = head.capture.views();
-        let progress = watch.count("masks", views.len() as u64);
-        for (place, view) in views.iter().enumerate() {
-            if watch.stops() {
-                return Ok(false);
-            }
-            if !self.out.join(mask_name(view.timestep)).exists() {
-                write_mask(&self.out, view.timestep, &head.shading(place), person.as_ref().ok())?;
-            }
-            progress.inc();
-        }
-        Ok(true)
+        write_masks(&self.out, head.capture.views(), watch, |place, image| {
+            head_mask(image, &head.shading(place), person.as_ref().ok())
+        })
     }
 
     fn train(&self, watch: &Watch) -> anyhow::Result<TrainedAvatar> {

@@ -218,7 +218,7 @@ impl FaceModels {
     /// Their place.
     ///
     /// # Errors
-    /// As of [`face_models`].
+    /// Says where to get them when they are nowhere.
     pub fn path(&self) -> anyhow::Result<PathBuf> {
         face_models(self.face_models.as_deref())
     }

@@ -4,8 +4,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 use srflow_files::FileError;
 use srflow_head::{
-    HeadError, HeadGradient, HeadModel, HeadParameters, HeadPose, ParametersError, PoseParameters,
-    ShapedHead, TriangleFrame, dress, vertex_gradients,
+    Dress, HeadError, HeadGradient, HeadModel, HeadParameters, HeadPose, Look, ParametersError,
+    PoseParameters, Shading, ShapedHead, TriangleFrame, dress, vertex_gradients,
 };
 use srflow_splat::{GaussianGradients, Gaussians};
 
@@ -57,6 +57,8 @@ pub struct Avatar {
     own_motion: Vec<PoseParameters>,
     shaped: ShapedHead,
     gaussians: BoundGaussians,
+    /// `None` for Gaussians that were trained.
+    shading: Option<Shading>,
 }
 
 /// Buffers of [`Avatar::gaussians_into`], reused between frames.
@@ -85,24 +87,25 @@ impl Avatar {
     /// # Errors
     /// None that depend on the seed; the built-in head is checked like any other.
     pub fn builtin(seed: u64) -> Result<Self, AvatarError> {
-        Self::of(HeadModel::builtin(seed), &[], seed)
+        Self::of(HeadModel::builtin(seed), &[], seed, Look::default())
     }
 
     /// A person on any head model, with the given weights of its identity basis. The seed determines skin, hair and eyes.
     ///
     /// # Errors
     /// When the model is inconsistent or has no landmarks.
-    pub fn of(model: HeadModel, identity: &[f32], seed: u64) -> Result<Self, AvatarError> {
+    pub fn of(model: HeadModel, identity: &[f32], seed: u64, look: Look) -> Result<Self, AvatarError> {
         model.validate().map_err(HeadError::from)?;
         let shaped = model.shaped(identity);
         let mut frames = Vec::new();
         write_frames(&model, &shaped.vertices, &mut frames);
         let mut gaussians = BoundGaussians::default();
-        for (triangle, splat) in dress(&model, &shaped, seed)? {
+        let Dress { splats, shading } = dress(&model, &shaped, seed, look)?;
+        for (triangle, splat) in splats {
             gaussians.bind(triangle, &frames[triangle as usize], &splat);
         }
         let identity = HeadParameters { shape: identity.to_vec(), ..HeadParameters::default() };
-        Ok(Self { model, identity, own_motion: Vec::new(), shaped, gaussians })
+        Ok(Self { model, identity, own_motion: Vec::new(), shaped, gaussians, shading })
     }
 
     /// A person whose Gaussians are those of a file, on `model` with the identity and the motion of `parameters`.
@@ -121,7 +124,7 @@ impl Avatar {
         let own_motion = parameters.poses;
         let identity = HeadParameters { poses: Vec::new(), ..parameters };
         let shaped = model.shaped_with_offset(&identity.shape, &identity.static_offset);
-        Ok(Self { model, identity, own_motion, shaped, gaussians })
+        Ok(Self { model, identity, own_motion, shaped, gaussians, shading: None })
     }
 
     pub fn model(&self) -> &HeadModel {
@@ -166,6 +169,9 @@ impl Avatar {
         self.model.vertices(&self.shaped, pose, &mut head.vertices);
         write_frames(&self.model, &head.vertices, &mut head.frames);
         self.gaussians.world_into(&head.frames, out);
+        if let Some(shading) = &self.shading {
+            shading.shade(&self.model, pose, &head.vertices, &head.frames, out);
+        }
     }
 
     /// The backward of [`Avatar::gaussians_into`], which gave `head` in `pose`: from the gradients of the Gaussians in the world to

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use srflow_core::random::Key;
-use srflow_head::{HeadModel, ModelSource};
+use srflow_head::{HeadModel, Look, ModelSource};
 
 use crate::avatar::AvatarError;
 use crate::capture::HeadRecord;
@@ -50,6 +50,22 @@ impl HeadSource {
         match self {
             Self::Model(model) => Self::Model(model.with_path(path.into())),
             Self::Avatar(_) => Self::Avatar(path.into()),
+        }
+    }
+
+    /// This head with another look; a trained avatar has its own.
+    #[must_use]
+    pub fn with_look(&self, look: Look) -> Self {
+        match self {
+            Self::Model(model) => Self::Model(model.with_look(look)),
+            Self::Avatar(_) => self.clone(),
+        }
+    }
+
+    fn look(&self) -> Look {
+        match self {
+            Self::Model(model) => model.look(),
+            Self::Avatar(_) => Look::default(),
         }
     }
 
@@ -107,7 +123,7 @@ impl HeadSource {
         // Principal components: standard normal, clamped.
         let identity: Vec<f32> =
             model.identities.iter().map(|_| stream.normal().clamp(-1.8, 1.8) * 0.8).collect();
-        Avatar::of(model, &identity, seed)
+        Avatar::of(model, &identity, seed, self.look())
     }
 
     /// The record of the head model `model`, which this source made for `seed`, for files of its parameters.
@@ -122,7 +138,8 @@ impl HeadSource {
                 path.head(&AvatarFiles::read(&path.dir)?)?
             }
         };
-        Ok(HeadRecord::new(head.to_string(), seed, model))
+        let look = head.look();
+        Ok(HeadRecord { look, ..HeadRecord::new(head.to_string(), seed, model) })
     }
 }
 
@@ -155,8 +172,10 @@ impl AvatarPath {
     fn head(&self, files: &AvatarFiles) -> Result<(ModelSource, u64), AvatarError> {
         let named = |reason| AvatarError::HeadName { dir: files.dir.clone(), reason };
         let head = match (&self.on, &files.head) {
-            (Some(on), _) => on.clone(),
-            (None, Some(record)) => record.head.parse().map_err(named)?,
+            (Some(on), record) => {
+                on.with_look(record.as_ref().map_or(Look::unrecorded(), |record| record.look))
+            }
+            (None, Some(record)) => record.source().map_err(named)?,
             (None, None) => return Err(AvatarError::NoHeadName(files.dir.clone())),
         };
         match head {

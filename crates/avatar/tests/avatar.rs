@@ -6,7 +6,9 @@ use std::sync::LazyLock;
 use glam::{DMat4, DVec3, Quat, Vec3};
 use srflow_avatar::capture::HeadRecord;
 use srflow_avatar::{Avatar, AvatarError, AvatarFiles, HeadSource, PosedHead};
-use srflow_head::{HeadError, HeadModel, HeadParameters, HeadPose, JointRole, PoseParameters, Region, Side};
+use srflow_head::{
+    HeadError, HeadModel, HeadParameters, HeadPose, JointRole, Look, PoseParameters, Region, Side,
+};
 use srflow_splat::{Camera, Frame, Gaussians, Options, Rasterizer, write_bound_ply};
 
 fn ict_folder() -> Option<PathBuf> {
@@ -108,7 +110,7 @@ fn assert_whole(avatar: &Avatar, name: &str) {
     let mut rasterizer = Rasterizer::new();
     let mut frame = Frame::new();
     let count = avatar.bound().len();
-    assert!((100_000..=200_000).contains(&count), "{name}: {count} Gaussians");
+    assert!((100_000..=215_000).contains(&count), "{name}: {count} Gaussians");
     for (number, pose) in extreme_poses(avatar).iter().enumerate() {
         let (gaussians, head) = gaussians(avatar, pose);
         assert_eq!(gaussians.len(), count);
@@ -236,7 +238,8 @@ fn ict_action_units_are_those_of_the_files_present() {
 #[test]
 fn an_avatar_survives_its_files() {
     let folder = tempfile::tempdir().unwrap();
-    let avatar = &*FIRST;
+    // Its colours do not change with the pose, as those of files.
+    let avatar = &HeadSource::builtin().with_look(Look::First).avatar(1).unwrap();
     let model = avatar.model();
     let poses: Vec<PoseParameters> =
         extreme_poses(avatar).iter().skip(1).map(|pose| PoseParameters::of(model, pose)).collect();
@@ -249,7 +252,7 @@ fn an_avatar_survives_its_files() {
     let files = AvatarFiles::read(folder.path()).unwrap();
     assert_eq!((files.head.as_ref(), &files.parameters, &files.dir), (Some(&record), &parameters, &dir));
     assert_eq!(files.gaussians.sh_degree, 3);
-    let again = files.on(HeadModel::builtin(1)).unwrap();
+    let again = files.on(HeadModel::builtin_with(1, Look::First)).unwrap();
     let camera = camera(220, 320);
     let mut pictures = [Frame::new(), Frame::new()];
     for pose in again.own_motion() {

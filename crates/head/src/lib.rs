@@ -13,6 +13,7 @@ mod head_model;
 mod ict;
 mod lam;
 mod landmark_file;
+mod look;
 mod mesh;
 mod micro_expression;
 mod model_source;
@@ -27,13 +28,14 @@ mod unit_fit;
 mod unit_name;
 mod unit_table;
 
-pub use dress::{Splat, dress};
+pub use dress::{Dress, Shading, Splat, dress};
 pub use error::HeadError;
 pub use head_model::{
     ActionUnit, HeadGradient, HeadModel, HeadModelError, HeadPoints, HeadPose, HeadState, Joint, JointRole,
     Offsets, PointDerivatives, PoseCorrective, Region, Shape, ShapedHead, Side, Skinning, TextureMap,
     rotation_of_axis_angle,
 };
+pub use look::Look;
 pub use mesh::{MeshFormat, MeshMotion, add_mesh, vertex_normals, write_mesh};
 pub use micro_expression::MicroExpression;
 pub use model_source::ModelSource;

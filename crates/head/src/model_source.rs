@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::{HeadError, HeadModel, flame, gltf, gnm, ict, lam};
+use crate::{HeadError, HeadModel, Look, flame, gltf, gnm, ict, lam};
 
 /// A kind of head model, as in `--head KIND:PATH`.
 struct Kind {
@@ -18,8 +18,8 @@ struct Kind {
     companions: &'static [&'static str],
     /// That of them which lists the landmarks; empty where they are part of the model.
     landmarks: &'static str,
-    /// Reads the model; the seed matters to heads that are made from one.
-    load: fn(&Path, u64) -> Result<HeadModel, HeadError>,
+    /// Reads the model; seed and look matter to heads that are sculpted.
+    load: fn(&Path, u64, Look) -> Result<HeadModel, HeadError>,
 }
 
 /// The kinds of head models. The first is the built-in head.
@@ -30,7 +30,7 @@ static KINDS: [Kind; 8] = [
         about: "a head sculpted by code from a seed",
         companions: &[],
         landmarks: "",
-        load: |_, seed| Ok(HeadModel::builtin(seed)),
+        load: |_, seed, look| Ok(HeadModel::builtin_with(seed, look)),
     },
     Kind {
         name: "ict",
@@ -38,7 +38,7 @@ static KINDS: [Kind; 8] = [
         about: "ICT-FaceKit's FaceXModel folder",
         companions: &[],
         landmarks: "",
-        load: |dir, _| ict::load(dir),
+        load: |dir, _, _| ict::load(dir),
     },
     Kind {
         name: "builtin-average",
@@ -46,7 +46,7 @@ static KINDS: [Kind; 8] = [
         about: "the average built-in head, whose identity basis are the traits of persons",
         companions: &[],
         landmarks: "",
-        load: |_, _| Ok(HeadModel::builtin_average()),
+        load: |_, _, look| Ok(HeadModel::builtin_average_with(look)),
     },
     Kind {
         name: "flame",
@@ -54,7 +54,7 @@ static KINDS: [Kind; 8] = [
         about: "FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth",
         companions: &flame::COMPANIONS,
         landmarks: flame::LANDMARKS[0],
-        load: |file, _| flame::load(file, true),
+        load: |file, _, _| flame::load(file, true),
     },
     Kind {
         name: "flame-toothless",
@@ -62,7 +62,7 @@ static KINDS: [Kind; 8] = [
         about: "FLAME as published",
         companions: &flame::COMPANIONS,
         landmarks: flame::LANDMARKS[0],
-        load: |file, _| flame::load(file, false),
+        load: |file, _, _| flame::load(file, false),
     },
     Kind {
         name: "gnm",
@@ -70,7 +70,7 @@ static KINDS: [Kind; 8] = [
         about: "GNM Head 3 (gnm_head.npz)",
         companions: &gnm::COMPANIONS,
         landmarks: gnm::LANDMARKS[0],
-        load: |file, _| gnm::load(file),
+        load: |file, _, _| gnm::load(file),
     },
     Kind {
         name: "gltf",
@@ -78,7 +78,7 @@ static KINDS: [Kind; 8] = [
         about: "any rigged head as .glb or .gltf",
         companions: &gltf::COMPANIONS,
         landmarks: gltf::LANDMARKS,
-        load: |file, _| gltf::load(file),
+        load: |file, _, _| gltf::load(file),
     },
     Kind {
         name: "lam",
@@ -86,7 +86,7 @@ static KINDS: [Kind; 8] = [
         about: "an avatar of LAM: skin.glb and offset.ply",
         companions: &[],
         landmarks: "",
-        load: |path, _| lam::load(path),
+        load: |path, _, _| lam::load(path),
     },
 ];
 
@@ -95,17 +95,19 @@ pub(crate) fn landmark_file(kind: &str) -> &'static str {
     KINDS.iter().find(|known| known.name == kind).map_or("", |kind| kind.landmarks)
 }
 
-/// A head model to read or make: `builtin`, or a kind and a path, as `flame:FILE`.
+/// A head model to read or make, `builtin`, or a kind and a path, as `flame:FILE`; and the [`Look`] of the head, the latest unless another is asked
+/// for.
 #[derive(Clone)]
 pub struct ModelSource {
     kind: &'static Kind,
     path: PathBuf,
+    look: Look,
 }
 
 impl ModelSource {
     /// The built-in head.
     pub fn builtin() -> Self {
-        Self { kind: &KINDS[0], path: PathBuf::new() }
+        Self { kind: &KINDS[0], path: PathBuf::new(), look: Look::default() }
     }
 
     /// Name of the kind.
@@ -116,12 +118,23 @@ impl ModelSource {
     /// A source of the kind with this name whose path is not known; `None` for an unknown kind.
     pub fn of_kind(name: &str) -> Option<Self> {
         let kind = KINDS.iter().find(|kind| kind.name == name)?;
-        Some(Self { kind, path: PathBuf::new() })
+        Some(Self { kind, path: PathBuf::new(), look: Look::default() })
     }
 
     /// This kind of head model at another path.
     pub fn with_path(&self, path: PathBuf) -> Self {
-        Self { kind: self.kind, path }
+        Self { path, ..self.clone() }
+    }
+
+    /// This head with another look.
+    #[must_use]
+    pub fn with_look(&self, look: Look) -> Self {
+        Self { look, ..self.clone() }
+    }
+
+    /// How the head looks.
+    pub fn look(&self) -> Look {
+        self.look
     }
 
     /// Whether it is made without files.
@@ -157,13 +170,13 @@ impl ModelSource {
     /// # Errors
     /// Names the file that is missing or malformed.
     pub fn model(&self, seed: u64) -> Result<HeadModel, HeadError> {
-        (self.kind.load)(&self.path, seed)
+        (self.kind.load)(&self.path, seed, self.look)
     }
 }
 
 impl PartialEq for ModelSource {
     fn eq(&self, other: &Self) -> bool {
-        self.kind.name == other.kind.name && self.path == other.path
+        self.kind.name == other.kind.name && self.path == other.path && self.look == other.look
     }
 }
 
@@ -189,7 +202,9 @@ impl FromStr for ModelSource {
         let (name, path) = text.split_once(':').unwrap_or((text, ""));
         let known = KINDS.iter().find(|kind| kind.name == name && kind.path.is_empty() != text.contains(':'));
         match known {
-            Some(kind) if kind.path.is_empty() == path.is_empty() => Ok(Self { kind, path: path.into() }),
+            Some(kind) if kind.path.is_empty() == path.is_empty() => {
+                Ok(Self { kind, path: path.into(), look: Look::default() })
+            }
             _ => {
                 let forms = KINDS.iter().map(|kind| match kind.path {
                     "" => format!("`{}`", kind.name),

@@ -1,12 +1,43 @@
 //! The heads of datasets: where they are, and what is recorded of their files.
 
+use std::path::Path;
+
 use glam::DVec3;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
 use srflow_avatar::{Avatar, HeadSource};
 use srflow_core::random::Key;
+use srflow_head::Look;
 
 use crate::RenderError;
 use crate::error::require;
+use crate::record::read_record;
 use crate::setting_files::{files_at, fingerprint};
+
+/// Reads the settings that a set recorded. Those of before heads had several looks name none.
+///
+/// # Errors
+/// When the file cannot be read or has other contents.
+pub(crate) fn read_settings<T: DeserializeOwned>(path: &Path) -> Result<T, RenderError> {
+    let mut record: Value = read_record(path)?;
+    name_look(&mut record);
+    serde_json::from_value(record).map_err(|error| RenderError::Malformed {
+        path: path.to_owned(),
+        reason: srflow_files::parse_error_in_words(&error),
+    })
+}
+
+/// Adds the look that is meant where settings name none.
+pub(crate) fn name_look(settings: &mut Value) {
+    if let Some(fields) = settings.as_object_mut() {
+        fields.entry("look").or_insert_with(|| u8::from(Look::unrecorded()).into());
+    }
+}
+
+/// These heads with a look.
+pub(crate) fn with_look(heads: &[HeadSource], look: Look) -> Vec<HeadSource> {
+    heads.iter().map(|head| head.with_look(look)).collect()
+}
 
 /// A point between chin and crown, independent of the subject, metres.
 pub(crate) fn centre(head: &HeadSource) -> DVec3 {

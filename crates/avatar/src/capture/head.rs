@@ -7,7 +7,7 @@ use srflow_files::{FileError, FileKind, parse_error_in_words, read_text, write_f
 
 use super::problem;
 use crate::HeadSource;
-use srflow_head::HeadModel;
+use srflow_head::{HeadModel, Look};
 
 /// Name of the file.
 pub const HEAD_NAME: &str = "head.json";
@@ -19,6 +19,9 @@ pub struct HeadRecord {
     pub head: String,
     /// The seed of the person, which determines the shape of a built-in head.
     pub subject: u64,
+    /// How the head looks.
+    #[serde(default = "Look::unrecorded", skip_serializing_if = "Look::is_unrecorded")]
+    pub look: Look,
     /// Vertices and triangles of the model, to recognize it.
     pub vertices: usize,
     pub triangles: usize,
@@ -27,15 +30,24 @@ pub struct HeadRecord {
 }
 
 impl HeadRecord {
-    /// The record of a model that was made from `head` for the person `subject`.
+    /// The record of a model that was made from `head`, with the latest look, for the person `subject`.
     pub fn new(head: String, subject: u64, model: &HeadModel) -> Self {
         Self {
             head,
             subject,
+            look: Look::default(),
             vertices: model.template.len(),
             triangles: model.triangles.len(),
             expressions: model.expressions.iter().map(|shape| shape.name.clone()).collect(),
         }
+    }
+
+    /// The head that it names.
+    ///
+    /// # Errors
+    /// When there is no such kind of head.
+    pub fn source(&self) -> Result<HeadSource, String> {
+        Ok(self.head.parse::<HeadSource>()?.with_look(self.look))
     }
 
     /// Reads the record in `dir`; `None` if it has none.
@@ -90,7 +102,7 @@ impl HeadRecord {
     /// Whether `model`, which [`HeadRecord::check`] accepts, may have the shape of this head. That of a built-in head is a person's; the
     /// others tell no shape.
     pub fn may_be(&self, model: &HeadModel) -> bool {
-        let builtin = self.head.parse::<HeadSource>().ok().filter(HeadSource::is_builtin);
+        let builtin = self.source().ok().filter(HeadSource::is_builtin);
         let own = builtin.and_then(|head| head.model(self.subject).ok());
         own.is_none_or(|own| own.template == model.template)
     }

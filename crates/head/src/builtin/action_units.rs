@@ -45,8 +45,14 @@ pub(super) fn share(side: Side, x: f32) -> f32 {
 }
 
 /// Displacement in millimetres of a vertex of the left half when both halves show unit `number` fully, and its deviation
-/// from the straight line halfway.
-pub(super) fn displacement(plan: &Plan, number: u8, p: Vec3, mark: &Mark) -> (Vec3, Vec3) {
+/// from the straight line halfway. `fitted` is what it does to the skin, if that is known.
+pub(super) fn displacement(
+    plan: &Plan,
+    number: u8,
+    p: Vec3,
+    mark: &Mark,
+    fitted: Option<Vec3>,
+) -> (Vec3, Vec3) {
     let place = Place::new(plan, p, mark);
     if mark.part == Part::Ear || mark.part == Part::Eyeball || !place.in_front {
         return (Vec3::ZERO, Vec3::ZERO);
@@ -55,7 +61,11 @@ pub(super) fn displacement(plan: &Plan, number: u8, p: Vec3, mark: &Mark) -> (Ve
         return (Vec3::ZERO, Vec3::ZERO);
     }
     let roll = place.lid_roll(number);
-    let mut skin = if mark.part == Part::LidLining { Vec3::ZERO } else { place.pull(number) };
+    let mut skin = match fitted {
+        _ if mark.part == Part::LidLining => Vec3::ZERO,
+        Some(fitted) => fitted,
+        None => place.pull(number),
+    };
     // Lateral movement fades out at the midline, where both halves meet.
     skin.x *= smoothstep(0.0, 9.0, p.x);
     if roll == 0.0 {

@@ -1,6 +1,9 @@
 use glam::{Vec2, Vec3};
 use srflow_core::random::Key;
 
+use super::form::MODES;
+use crate::Look;
+
 macro_rules! traits {
     ($($name:ident),* $(,)?) => {
         /// The traits that distinguish one person's head from another's: each is roughly normal with mean 0 and deviation 1,
@@ -12,8 +15,16 @@ macro_rules! traits {
 
         impl Traits {
             /// The average head but for one trait: its name, and a function of the trait's value.
-            pub(super) fn each() -> Vec<(&'static str, fn(f32) -> Self)> {
-                vec![$((stringify!($name), |$name| Self { $name, ..Self::default() }),)*]
+            pub(super) fn each(look: Look) -> Vec<(&'static str, fn(f32) -> Self)> {
+                let all: Vec<(&'static str, fn(f32) -> Self)> =
+                    vec![$((stringify!($name), |$name| Self { $name, ..Self::default() }),)*];
+                let known = |name: &str| look >= Look::Second || !name.starts_with("form_");
+                all.into_iter().filter(|(name, _)| known(name)).collect()
+            }
+
+            /// All traits times `factor`.
+            fn scaled(&self, factor: f32) -> Self {
+                Self { $($name: self.$name * factor,)* }
             }
 
             /// The values, in the same order.
@@ -56,16 +67,26 @@ traits! {
     ear_size,
     ear_protrusion,
     neck_girth,
+    form_1,
+    form_2,
+    form_3,
+    form_4,
+    form_5,
+    form_6,
+    form_7,
+    form_8,
+    form_9,
+    form_10,
 }
 
 impl Traits {
     /// The traits of the person of `seed`.
-    pub(super) fn of(seed: u64) -> Self {
+    pub(super) fn of(seed: u64, look: Look) -> Self {
         let draw = |purpose: &str| Key::new(seed).stream(purpose).normal().clamp(-2.0, 2.0);
         // A shared factor moves several traits together, as between typical male and female heads.
         let build = draw("head: build");
         let with_build = |purpose: &str, share: f32| (0.8 * draw(purpose) + share * build).clamp(-2.0, 2.0);
-        Self {
+        let sculpted = Self {
             head_width: draw("head: width"),
             head_length: draw("head: length"),
             crown_height: draw("head: crown height"),
@@ -96,7 +117,58 @@ impl Traits {
             ear_size: with_build("head: ear size", 0.3),
             ear_protrusion: draw("head: ear protrusion"),
             neck_girth: with_build("head: neck girth", 0.9),
+            ..Self::default()
+        };
+        if look == Look::First { sculpted } else { sculpted.with_form(draw) }
+    }
+
+    /// With a form drawn for the person. What is sculpted varies less: the form has most of how faces differ, but for lids, lips and ears.
+    fn with_form(self, draw: impl Fn(&str) -> f32) -> Self {
+        const SCULPTED: f32 = 0.5;
+        let Self { eye_opening, eye_width, eye_tilt, lid_crease, upper_lip, lower_lip, .. } = self;
+        let Self { ear_size, ear_protrusion, neck_girth, head_length, crown_height, .. } = self;
+        let form: [f32; MODES] = std::array::from_fn(|mode| 0.85 * draw(&format!("head: form {}", mode + 1)));
+        let [form_1, form_2, form_3, form_4, form_5, form_6, form_7, form_8, form_9, form_10] = form;
+        Self {
+            eye_opening,
+            eye_width,
+            eye_tilt,
+            lid_crease,
+            upper_lip,
+            lower_lip,
+            ear_size,
+            ear_protrusion,
+            neck_girth,
+            head_length,
+            crown_height,
+            form_1,
+            form_2,
+            form_3,
+            form_4,
+            form_5,
+            form_6,
+            form_7,
+            form_8,
+            form_9,
+            form_10,
+            ..self.scaled(SCULPTED)
         }
+    }
+
+    /// Weights of the ways in which faces differ; see [`super::form::Form`].
+    pub(super) fn form(&self) -> [f32; MODES] {
+        [
+            self.form_1,
+            self.form_2,
+            self.form_3,
+            self.form_4,
+            self.form_5,
+            self.form_6,
+            self.form_7,
+            self.form_8,
+            self.form_9,
+            self.form_10,
+        ]
     }
 }
 
@@ -104,6 +176,7 @@ impl Traits {
 /// the face, and the origin is between the ears.
 #[derive(Debug, Clone)]
 pub(super) struct Plan {
+    pub look: Look,
     pub traits: Traits,
     pub eye: Vec3,
     pub eye_radius: f32,
@@ -126,7 +199,7 @@ pub(super) struct Plan {
 pub(super) const CANON: [f32; 4] = [28.0, -21.0, -43.0, -88.0];
 
 impl Plan {
-    pub(super) fn new(traits: Traits) -> Self {
+    pub(super) fn new(traits: Traits, look: Look) -> Self {
         let t = &traits;
         let spacing = 31.5 + 1.2 * t.eye_spacing;
         let width = 29.0 + 1.0 * t.eye_width;
@@ -146,6 +219,7 @@ impl Plan {
             mouth_half_width: 25.0 + 1.7 * t.mouth_width,
             lip_heights: [6.8 + 1.3 * t.upper_lip, 8.8 + 1.4 * t.lower_lip],
             chin: mouth + (CANON[3] - CANON[2]) - 2.2 * t.chin_height,
+            look,
             traits,
         }
     }

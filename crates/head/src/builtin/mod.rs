@@ -10,6 +10,7 @@ mod curves;
 mod ears;
 mod eyes;
 mod face;
+mod form;
 mod half;
 mod identity;
 mod landmarks;
@@ -26,10 +27,11 @@ use std::collections::BTreeMap;
 use glam::Vec3;
 use rayon::prelude::*;
 
+use self::form::Form;
 use self::half::{Half, Mark};
 use self::identity::{Plan, Traits};
 use self::landmarks::Landmarks;
-use crate::{ActionUnit, HeadModel, Joint, JointRole, Offsets, Shape, Side, Skinning};
+use crate::{ActionUnit, HeadModel, Joint, JointRole, Look, Offsets, Shape, Side, Skinning};
 
 const METRES_PER_MILLIMETRE: f32 = 1e-3;
 
@@ -42,16 +44,26 @@ impl HeadModel {
     /// All persons share one topology: vertex and triangle numbers mean the same place on every head; only hairline and
     /// brows, that is [`HeadModel::regions`], follow each person. The identity is in the template; there is no basis.
     pub fn builtin(seed: u64) -> Self {
-        Self::sculpted(Traits::of(seed))
+        Self::builtin_with(seed, Look::default())
+    }
+
+    /// As [`HeadModel::builtin`], with a look.
+    pub fn builtin_with(seed: u64, look: Look) -> Self {
+        Self::sculpted(Traits::of(seed, look), look)
     }
 
     /// The average built-in head, with the traits that persons differ in as its identity basis, in standard deviations: the head of
     /// an unknown person, to be fitted. The basis is linear, and persons of [`HeadModel::builtin`] are not: they also differ by
     /// a fraction of a millimetre in the shapes of their expressions.
     pub fn builtin_average() -> Self {
-        let average = Self::sculpted(Traits::default());
+        Self::builtin_average_with(Look::default())
+    }
+
+    /// As [`HeadModel::builtin_average`], with a look.
+    pub fn builtin_average_with(look: Look) -> Self {
+        let average = Self::sculpted(Traits::default(), look);
         let shape = |(name, of): (&str, fn(f32) -> Traits)| {
-            let [more, less] = [1.0, -1.0].map(|value| Self::sculpted(of(value)));
+            let [more, less] = [1.0, -1.0].map(|value| Self::sculpted(of(value), look));
             let halves = |more: &[Vec3], less: &[Vec3]| -> Vec<Vec3> {
                 more.iter().zip(less).map(|(more, less)| (*more - *less) * 0.5).collect()
             };
@@ -60,7 +72,7 @@ impl HeadModel {
             let offsets = Offsets::compact(halves(&more.template, &less.template));
             (Shape::linear(name, offsets), halves(&positions(&more), &positions(&less)))
         };
-        let shapes: Vec<(Shape, Vec<Vec3>)> = Traits::each().into_par_iter().map(shape).collect();
+        let shapes: Vec<(Shape, Vec<Vec3>)> = Traits::each(look).into_par_iter().map(shape).collect();
         let mut joints = average.joints;
         for (number, joint) in joints.iter_mut().enumerate() {
             joint.identities = shapes.iter().map(|(_, moved)| moved[number]).collect();
@@ -69,20 +81,14 @@ impl HeadModel {
         Self { name: "builtin-average".to_owned(), identities, joints, ..average }
     }
 
-    /// The average built-in head, without an identity basis.
+    /// The average built-in head of the first look, without an identity basis: units that it lends to other heads keep their shapes.
     pub(crate) fn sculpted_average() -> Self {
-        Self::sculpted(Traits::default())
+        Self::sculpted(Traits::default(), Look::First)
     }
 
-    fn sculpted(traits: Traits) -> Self {
-        let plan = Plan::new(traits);
-        let mut half = Half::default();
-        let skin = skin::Grid::new(&plan).lay(&mut half);
-        let eyeball = eyes::add_eyeball(&mut half, &plan);
-        eyes::add_caruncle(&mut half, &plan);
-        teeth::add(&mut half, &plan, skin.lips);
-        mouth::add_tongue(&mut half, &plan, skin.lips);
-        ears::add(&mut half, &plan, skin.ear);
+    fn sculpted(traits: Traits, look: Look) -> Self {
+        let plan = Plan::new(traits, look);
+        let Sculpture { mut half, skin, eyeball } = sculpted_half(&plan);
         let landmarks = Landmarks::on(&half, &plan, &skin);
 
         let whole = Whole::new(&half);
@@ -91,6 +97,9 @@ impl HeadModel {
             half.points.iter().zip(&half.marks).map(|(&p, mark)| skinning::weights(&plan, p, mark)).collect();
         let landmarks = landmarks.in_order(|vertex| whole.right[vertex as usize]);
         let (expressions, action_units) = whole.action_units(&plan, &half);
+        if look >= Look::Second {
+            Form::get().apply(&traits, &mut half.points);
+        }
         Self {
             name: "builtin".to_owned(),
             template: whole.points(&half.points).map(|p| p * METRES_PER_MILLIMETRE).collect(),
@@ -111,6 +120,25 @@ impl HeadModel {
             carried: Vec::new(),
         }
     }
+}
+
+/// The left half of a head before it is mirrored.
+struct Sculpture {
+    half: Half,
+    skin: skin::Skin,
+    /// Vertices of the eyeball.
+    eyeball: std::ops::Range<u32>,
+}
+
+fn sculpted_half(plan: &Plan) -> Sculpture {
+    let mut half = Half::default();
+    let skin = skin::Grid::new(plan).lay(&mut half);
+    let eyeball = eyes::add_eyeball(&mut half, plan);
+    eyes::add_caruncle(&mut half, plan);
+    teeth::add(&mut half, plan, skin.lips);
+    mouth::add_tongue(&mut half, plan, skin.lips);
+    ears::add(&mut half, plan, skin.ear);
+    Sculpture { half, skin, eyeball }
 }
 
 fn mirrored(p: Vec3) -> Vec3 {
@@ -170,11 +198,15 @@ impl Whole {
         let mut expressions = Vec::new();
         let mut units = Vec::new();
         for (number, halves) in action_units::EXPRESSIONS {
+            let fitted = if plan.look >= Look::Second { Form::get().unit(number) } else { None };
             let moved: Vec<(Vec3, Vec3)> = half
                 .points
                 .iter()
                 .zip(&half.marks)
-                .map(|(&p, mark)| action_units::displacement(plan, number, p, mark))
+                .enumerate()
+                .map(|(vertex, (&p, mark))| {
+                    action_units::displacement(plan, number, p, mark, fitted.map(|fitted| fitted[vertex]))
+                })
                 .collect();
             let sides: &[(Side, &str)] =
                 if halves { &[(Side::Left, "_L"), (Side::Right, "_R")] } else { &[(Side::Both, "")] };

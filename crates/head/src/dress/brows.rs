@@ -6,10 +6,12 @@ use srflow_core::random::Stream;
 use super::strand::{Strand, add_strand};
 use super::surface::SurfacePoint;
 use super::{Dressing, catmull_rom, near_triangles, nearest_point, smoothstep};
-use crate::Region;
+use crate::{Look, Region};
 
 const MM: f32 = 1e-3;
 const HAIRS: usize = 460;
+/// Thinner ones, of the second look.
+const FINE_HAIRS: usize = 640;
 
 /// Grows both brows.
 pub(super) fn dress_brows(dressing: &mut Dressing) {
@@ -26,7 +28,7 @@ pub(super) fn dress_brows(dressing: &mut Dressing) {
         spine[4].y += 1.5 * MM * size;
         let middle = spine[2];
         let skin = near_triangles(dressing.surface, &[Region::Brow, Region::Skin], middle, 0.042 * size);
-        for _ in 0..HAIRS {
+        for _ in 0..if dressing.look == Look::First { HAIRS } else { FINE_HAIRS } {
             grow(dressing, &spine, &skin, &mut stream);
         }
     }
@@ -54,11 +56,12 @@ fn grow(dressing: &mut Dressing, spine: &[Vec3; 5], skin: &[u32], stream: &mut S
         root.position + (direction * s + lift - Vec3::Y * (0.12 * s * s)) * length + root.normal * (0.15 * MM)
     });
     let albedo = dressing.appearance.brows * stream.uniform(0.6, 1.3);
+    let (width, opacity) = if dressing.look == Look::First { (0.065, 0.7) } else { (0.048, 0.55) };
     let strand = Strand {
         points: &points,
-        width: 0.065 * MM * size,
+        width: width * MM * size,
         taper: 0.45,
-        opacity: 0.7,
+        opacity,
         albedo: [albedo, albedo * 1.2],
         gloss: 0.15,
         outward: Vec3::ZERO,

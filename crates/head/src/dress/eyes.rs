@@ -10,7 +10,7 @@ use super::noise::Noise;
 use super::skin::flat;
 use super::surface::SurfacePoint;
 use super::{Dressing, smoothstep};
-use crate::Region;
+use crate::{Look, Region};
 
 const MM: f32 = 1e-3;
 /// An adult's iris, metres.
@@ -91,10 +91,13 @@ fn eyeball_color(dressing: &Dressing, eye: &Eye, point: &SurfacePoint, stream: &
     let sclera = sclera_albedo(eye, d, rho, stream);
     let white = smoothstep((rho - 0.94) / 0.16);
     let albedo = iris.lerp(sclera, white);
-    // The baked shadow of the lids counts half: the eye will rotate under it.
     let seen = dressing.exposure(point);
-    let exposure =
-        Exposure { sky: 0.30 + 0.62 * seen.sky, key: 0.25 + 0.60 * seen.key, fill: 0.35 + 0.55 * seen.fill };
+    let exposure = if dressing.look == Look::First {
+        // The baked shadow of the lids counts half: the eye will rotate under it.
+        Exposure { sky: 0.30 + 0.62 * seen.sky, key: 0.25 + 0.60 * seen.key, fill: 0.35 + 0.55 * seen.fill }
+    } else {
+        Exposure { sky: 0.12 + 0.76 * seen.sky, key: 0.10 + 0.74 * seen.key, fill: 0.20 + 0.68 * seen.fill }
+    };
     let round = d.normalize_or(Vec3::Z);
     let wrap = Vec3::splat(0.35);
     shade(&Material { albedo, wrap, sheen: 0.0, gloss: 1.0 }, round, &exposure)

@@ -5,7 +5,7 @@ use srflow_core::random::Stream;
 
 use super::strand::{Strand, add_strand};
 use super::{Dressing, catmull_rom, near_triangles, nearest_point};
-use crate::Region;
+use crate::{Look, Region};
 
 const MM: f32 = 1e-3;
 
@@ -32,7 +32,12 @@ pub(super) fn dress_lashes(dressing: &mut Dressing) {
         let eye = surface.eyes[lid.eye];
         let regions = [Region::LidMargin, Region::Skin];
         let skin = near_triangles(surface, &regions, eye, 0.028 * surface.size);
-        let hairs = if lid.upper { 88 } else { 50 };
+        let hairs = match (dressing.look, lid.upper) {
+            (Look::First, true) => 88,
+            (Look::First, false) => 50,
+            (_, true) => 105,
+            (_, false) => 46,
+        };
         for i in 0..hairs {
             let t = 0.05 + 0.84 * (i as f32 + stream.unit()) / hairs as f32;
             grow(dressing, lid, &skin, t, &mut stream);
@@ -57,7 +62,16 @@ fn grow(dressing: &mut Dressing, lid: &Lid, skin: &[u32], t: f32, stream: &mut S
     } else {
         (5.2 * (1.0 - 0.45 * t), Vec3::new(0.0, -0.42, 0.75), Vec3::new(0.0, -0.25, 0.0))
     };
-    let length = length * stream.uniform(0.75, 1.1) * MM * size;
+    let first = dressing.look == Look::First;
+    // Short and long ones side by side, thin at their tips.
+    let (share, least) = if first { (1.0, 0.75) } else { (if lid.upper { 0.86 } else { 0.62 }, 0.45) };
+    let length = length * share * stream.uniform(least, 1.1) * MM * size;
+    let (width, taper, opacity) = match (first, lid.upper) {
+        (true, true) => (0.048, 0.35, 0.74),
+        (true, false) => (0.032, 0.35, 0.38),
+        (false, true) => (0.034, 0.08, 0.60),
+        (false, false) => (0.022, 0.08, 0.28),
+    };
     let points: [Vec3; 5] = std::array::from_fn(|i| {
         let s = i as f32 / 4.0;
         root.position + ((start + fan + temple * clump) * s + curl * (s * s)) * length
@@ -65,9 +79,9 @@ fn grow(dressing: &mut Dressing, lid: &Lid, skin: &[u32], t: f32, stream: &mut S
     let dark = dressing.appearance.brows.min(Vec3::splat(0.035)) * 0.5;
     let strand = Strand {
         points: &points,
-        width: if lid.upper { 0.048 } else { 0.032 } * MM * size,
-        taper: 0.35,
-        opacity: if lid.upper { 0.74 } else { 0.38 },
+        width: width * MM * size,
+        taper,
+        opacity,
         albedo: [dark, dark],
         gloss: 0.1,
         outward: Vec3::ZERO,

@@ -59,6 +59,18 @@ impl std::ops::Mul<f32> for Exposure {
     }
 }
 
+impl Exposure {
+    /// Light by light.
+    pub fn times(self, o: Self) -> Self {
+        Self { sky: self.sky * o.sky, key: self.key * o.key, fill: self.fill * o.fill }
+    }
+
+    /// With each between 0 and 1.
+    pub fn clamped(self) -> Self {
+        Self { sky: self.sky.clamp(0.0, 1.0), key: self.key.clamp(0.0, 1.0), fill: self.fill.clamp(0.0, 1.0) }
+    }
+}
+
 impl std::ops::Add for Exposure {
     type Output = Self;
     fn add(self, o: Self) -> Self {
@@ -86,6 +98,19 @@ impl Material {
 
 /// The exposure of every vertex of the head at rest.
 pub(super) fn bake(surface: &Surface) -> Vec<Exposure> {
+    let mut exposures = bake_posed(surface, surface.vertices, &surface.normals, |_| true);
+    surface.smooth(&mut exposures);
+    exposures
+}
+
+/// The exposure, without smoothing, of the `wanted` vertices of a head whose vertices are `vertices`; zero for the others and those that are
+/// not lit.
+pub(super) fn bake_posed(
+    surface: &Surface,
+    vertices: &[Vec3],
+    normals: &[Vec3],
+    wanted: impl Fn(usize) -> bool + Sync,
+) -> Vec<Exposure> {
     let opaque = surface.triangles_of(&[
         Region::Skin,
         Region::Scalp,
@@ -96,21 +121,46 @@ pub(super) fn bake(surface: &Surface) -> Vec<Exposure> {
         Region::Neck,
         Region::Eyeball,
     ]);
-    let occluder = Occluder::new(opaque.iter().map(|&t| surface.corners(t)));
-    let mut lit = vec![false; surface.vertices.len()];
+    let corners = |t: u32| surface.model.triangles[t as usize].map(|v| vertices[v as usize]);
+    let occluder = Occluder::new(opaque.iter().map(|&t| corners(t)));
+    let mut lit = vec![false; vertices.len()];
     for v in opaque.iter().flat_map(|&t| surface.model.triangles[t as usize]) {
         lit[v as usize] = true;
     }
     let rays = Rays::new();
-    let mut exposures: Vec<Exposure> = (0..surface.vertices.len())
+    (0..vertices.len())
         .into_par_iter()
-        .map(|v| match lit[v] {
-            true => rays.exposure(&occluder, surface.vertices[v], surface.normals[v], surface.size),
+        .map(|v| match lit[v] && wanted(v) {
+            true => rays.exposure(&occluder, vertices[v], normals[v], surface.size),
             false => Exposure::default(),
         })
-        .collect();
-    surface.smooth(&mut exposures);
-    exposures
+        .collect()
+}
+
+/// The part of the light that reaches each vertex through `hair`, which lets so much of it through from a point in a direction.
+pub(super) fn through_hair(
+    surface: &Surface,
+    hair: impl Fn(Vec3, Vec3) -> f32 + Sync,
+    wanted: impl Fn(usize) -> bool + Sync,
+) -> Vec<Exposure> {
+    let rays = Rays::new();
+    let at = |v: usize| {
+        let (p, normal) = (surface.vertices[v], surface.normals[v]);
+        let (right, up) = normal.any_orthonormal_pair();
+        let mean = |directions: &[Vec3], world: &dyn Fn(Vec3) -> Vec3| {
+            directions.iter().map(|&d| hair(p, world(d))).sum::<f32>() / directions.len() as f32
+        };
+        Exposure {
+            sky: mean(&rays.sky, &|d| right * d.x + up * d.y + normal * d.z),
+            key: mean(&rays.key, &|d| d),
+            fill: mean(&rays.fill, &|d| d),
+        }
+    };
+    let clear = Exposure { sky: 1.0, key: 1.0, fill: 1.0 };
+    let mut light: Vec<Exposure> =
+        (0..surface.vertices.len()).into_par_iter().map(|v| if wanted(v) { at(v) } else { clear }).collect();
+    surface.smooth(&mut light);
+    light
 }
 
 /// Ray directions, the same for every vertex so that neighbours agree.
@@ -177,6 +227,66 @@ pub(super) fn shade(material: &Material, normal: Vec3, exposure: &Exposure) -> V
         * (exposure.key * gloss(normal, key, material.gloss)
             + 0.35 * exposure.fill * gloss(normal, fill, material.gloss));
     srgb_from_linear(material.albedo * diffuse * 1.12 + Vec3::splat(sheen))
+}
+
+/// Light that reaches a point of the skin from each direction, after shadows: what [`shade`] derives from an exposure.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Lit {
+    sky: Vec3,
+    key: Vec3,
+    fill: Vec3,
+    exposure: Exposure,
+}
+
+/// Skin: how far light wraps around, by channel, and the strength of its reflection; its exponent is 16.
+const SKIN_WRAP: Vec3 = Vec3::new(0.36, 0.16, 0.09);
+const SKIN_SHEEN: f32 = 0.05;
+
+impl Lit {
+    pub fn of(exposure: &Exposure) -> Self {
+        let sky = exposure.sky;
+        let shadow = |seen: f32| Vec3::new(libm::powf(seen, 0.8), seen, libm::powf(seen, 1.08));
+        Self {
+            sky: Vec3::new(libm::powf(sky, 0.75), sky, libm::powf(sky, 1.15)),
+            key: KEY_COLOR * shadow(exposure.key),
+            fill: FILL_COLOR * shadow(exposure.fill),
+            exposure: *exposure,
+        }
+    }
+
+    /// Between the corners of a triangle.
+    pub fn mixed(corners: [Self; 3], weights: Vec3) -> Self {
+        let mut sum = corners[0].times(weights.x);
+        for (corner, weight) in corners[1..].iter().zip([weights.y, weights.z]) {
+            let part = corner.times(weight);
+            sum = Self {
+                sky: sum.sky + part.sky,
+                key: sum.key + part.key,
+                fill: sum.fill + part.fill,
+                exposure: sum.exposure + part.exposure,
+            };
+        }
+        sum
+    }
+
+    fn times(self, s: f32) -> Self {
+        Self { sky: self.sky * s, key: self.key * s, fill: self.fill * s, exposure: self.exposure * s }
+    }
+
+    /// Linear light from skin of this reflectance and normal, seen from the front.
+    pub fn on(&self, normal: Vec3, albedo: Vec3) -> Vec3 {
+        let (key, fill) = (KEY_DIRECTION.normalize(), FILL_DIRECTION.normalize());
+        let sky = GROUND_COLOR.lerp(SKY_COLOR, normal.y * 0.5 + 0.5) * self.sky;
+        let diffuse = sky
+            + self.key * lambert(normal.dot(key), SKIN_WRAP)
+            + self.fill * lambert(normal.dot(fill), SKIN_WRAP);
+        let gloss = |light: Vec3| {
+            let cosine = normal.dot((light + Vec3::Z).normalize()).max(0.0);
+            [(); 4].iter().fold(cosine, |power, ()| power * power)
+        };
+        let sheen = SKIN_SHEEN * (self.exposure.key * gloss(key) + 0.35 * self.exposure.fill * gloss(fill));
+        albedo * diffuse * 1.12 + Vec3::splat(sheen.max(1e-3))
+    }
 }
 
 fn lambert(cosine: f32, wrap: Vec3) -> Vec3 {

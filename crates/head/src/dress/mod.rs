@@ -4,12 +4,15 @@ mod appearance;
 mod brows;
 mod complexion;
 mod eyes;
+mod folds;
 mod hair;
+mod hair_shadow;
 mod lashes;
 mod light;
 mod mouth;
 mod noise;
 mod occlusion;
+mod shading;
 mod skin;
 mod specks;
 mod strand;
@@ -19,9 +22,11 @@ use glam::{Quat, Vec3};
 use srflow_core::random::{Key, Stream};
 
 use crate::model_source::landmark_file;
-use crate::{HeadError, HeadModel, Region, ShapedHead};
+use crate::{HeadError, HeadModel, Look, Region, ShapedHead};
 use appearance::Appearance;
+use hair_shadow::HairShadow;
 use light::Exposure;
+pub use shading::Shading;
 use surface::{Surface, SurfacePoint};
 
 /// One Gaussian in world units.
@@ -35,15 +40,24 @@ pub struct Splat {
     pub color: Vec3,
 }
 
-/// The Gaussians that dress the head of `shaped` as the person of `seed`, or those that come with the model, each with the number of the
-/// triangle that carries it. The model must be valid.
+/// The Gaussians of a head at rest.
+#[derive(Debug, Clone)]
+pub struct Dress {
+    /// Each with the number of the triangle that carries it.
+    pub splats: Vec<(u32, Splat)>,
+    /// How their colours change as the head moves; `None` where they do not.
+    pub shading: Option<Shading>,
+}
+
+/// The Gaussians that dress the head of `shaped` as the person of `seed`, or those that come with the model. The model must be valid.
 ///
 /// # Errors
 /// [`HeadError::Landmarks`] when the model does not have 68 landmarks.
-pub fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64) -> Result<Vec<(u32, Splat)>, HeadError> {
+pub fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64, look: Look) -> Result<Dress, HeadError> {
     if !model.carried.is_empty() {
         let first = model.triangles.len() - model.carried.len();
-        return Ok((first as u32..).zip(model.carried.iter().copied()).collect());
+        let splats = (first as u32..).zip(model.carried.iter().copied()).collect();
+        return Ok(Dress { splats, shading: None });
     }
     if model.landmarks.len() < 68 {
         let (name, found) = (model.name.clone(), model.landmarks.len());
@@ -54,16 +68,34 @@ pub fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64) -> Result<Vec<(u
         surface: &surface,
         appearance: Appearance::of(seed),
         exposures: light::bake(&surface),
+        look,
         seed,
+        lit: 0,
         splats: Vec::new(),
     };
-    skin::dress_skin(&mut dressing);
-    eyes::dress_eyes(&mut dressing);
-    mouth::dress_mouth(&mut dressing);
-    brows::dress_brows(&mut dressing);
-    lashes::dress_lashes(&mut dressing);
+    if look == Look::First {
+        dress_face(&mut dressing);
+        hair::dress_hair(&mut dressing);
+        return Ok(Dress { splats: dressing.splats, shading: None });
+    }
+    // Hair first: it shades the face.
     hair::dress_hair(&mut dressing);
-    Ok(dressing.splats)
+    let hair = std::mem::take(&mut dressing.splats);
+    dressing.shade_by(&hair);
+    dress_face(&mut dressing);
+    let shading = Shading::new(&dressing, shaped);
+    dressing.splats.extend(hair);
+    Ok(Dress { splats: dressing.splats, shading: Some(shading) })
+}
+
+/// Dresses all but the hair: skin and eyes first.
+fn dress_face(dressing: &mut Dressing) {
+    skin::dress_skin(dressing);
+    eyes::dress_eyes(dressing);
+    dressing.lit = dressing.splats.len();
+    mouth::dress_mouth(dressing);
+    brows::dress_brows(dressing);
+    lashes::dress_lashes(dressing);
 }
 
 /// A head while it is being dressed.
@@ -71,11 +103,28 @@ struct Dressing<'a> {
     surface: &'a Surface<'a>,
     appearance: Appearance,
     exposures: Vec<Exposure>,
+    look: Look,
     seed: u64,
     splats: Vec<(u32, Splat)>,
+    /// Number of Gaussians of skin and eyes, the first ones.
+    lit: usize,
 }
 
 impl Dressing<'_> {
+    /// Takes the light away that `hair` keeps from the face.
+    fn shade_by(&mut self, hair: &[(u32, Splat)]) {
+        let shadow = HairShadow::new(hair, self.surface.size);
+        let mut is_skin = vec![false; self.surface.vertices.len()];
+        for t in self.surface.triangles_of(&skin::SKIN) {
+            self.surface.model.triangles[t as usize].iter().for_each(|v| is_skin[*v as usize] = true);
+        }
+        let light =
+            light::through_hair(self.surface, |p, direction| shadow.light(p, direction), |v| is_skin[v]);
+        for (exposure, light) in self.exposures.iter_mut().zip(light) {
+            *exposure = exposure.times(light);
+        }
+    }
+
     fn stream(&self, purpose: &str) -> Stream {
         Key::new(self.seed).stream(purpose)
     }

@@ -6,7 +6,7 @@ use srflow_files::write_zip;
 use zip::write::SimpleFileOptions;
 
 use super::*;
-use crate::{HeadPose, Side, TriangleFrame, dress};
+use crate::{HeadPose, Look, Side, TriangleFrame, dress};
 
 fn avatar() -> Option<PathBuf> {
     let folder = Path::new("../../../shared/data/lam/p2-1");
@@ -27,7 +27,7 @@ fn carried(model: &HeadModel, pose: &HeadPose) -> Vec<(Vec3, Quat)> {
     let mut vertices = Vec::new();
     model.vertices(&shaped, pose, &mut vertices);
     let (rest, posed) = (frames(&shaped.vertices), frames(&vertices));
-    let splats = dress(model, &shaped, 1).unwrap();
+    let splats = dress(model, &shaped, 1, Look::default()).unwrap().splats;
     let of = |(triangle, splat): (u32, Splat)| {
         let (rest, posed) = (&rest[triangle as usize], &posed[triangle as usize]);
         (posed.point(rest.local_from_world(splat.position)), posed.rotation * rest.rotation.inverse())

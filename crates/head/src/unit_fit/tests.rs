@@ -4,7 +4,7 @@ use super::surface::{Nearest, Surface};
 use super::warp::Warp;
 use super::*;
 use crate::dress::nearest_weights;
-use crate::{Offsets, Shape, ict};
+use crate::{Look, Offsets, Shape, ict};
 
 /// Displacement of each vertex by each expression.
 fn dense_offsets(model: &HeadModel) -> Vec<Vec<Vec3>> {
@@ -43,13 +43,13 @@ fn mean(shares: impl Iterator<Item = f64> + Clone) -> f64 {
 
 #[test]
 fn units_are_found_in_expressions_without_meaning() {
-    let mut model = mixed(HeadModel::builtin(4));
+    let mut model = mixed(HeadModel::builtin_with(4, Look::First));
     model.action_units = fitted_units(&model, &[26]);
     assert!(model.action_units.iter().all(|unit| unit.number != 26), "a known unit is not fitted");
     model.validate().unwrap();
     let left = left(&model);
     // All of the reference but the known one; the face has other proportions, and its lids move on an arc.
-    assert_eq!(left.len(), HeadModel::builtin(4).action_units.len() - 1);
+    assert_eq!(left.len(), HeadModel::builtin_with(4, Look::First).action_units.len() - 1);
     let worst = left.iter().map(|(_, _, left)| left.skin).fold(0.0, f64::max);
     assert!(worst < 0.5, "{worst} of a motion of the skin remains");
     for (of, mean) in [
@@ -82,7 +82,7 @@ fn both_halves_of_a_unit_of_components_add_up() {
 
 #[test]
 fn shapes_with_a_meaning_are_found_by_weights_from_0_to_1() {
-    let own = HeadModel::builtin(4);
+    let own = HeadModel::builtin_with(4, Look::First);
     let model = HeadModel { action_units: Vec::new(), ..own.clone() };
     let fitted = fitted_units(&model, &[26]);
     assert_eq!(fitted.len(), own.action_units.len() - 1);

@@ -41,8 +41,9 @@ impl Performance {
             who: "the capture".to_owned(),
             reason: error.to_string(),
         };
-        let avatar = settings.head.avatar(settings.seed).map_err(failed)?;
-        let head = settings.head.record(settings.seed, avatar.model()).map_err(failed)?;
+        let source = settings.head.with_look(settings.look);
+        let avatar = source.avatar(settings.seed).map_err(failed)?;
+        let head = source.record(settings.seed, avatar.model()).map_err(failed)?;
         let timesteps = settings.timesteps as usize;
         let rate = TIMESTEPS_PER_SECOND.min(timesteps as f32 / LEAST_SECONDS).max(1.0);
         let key = Key::new(settings.seed);

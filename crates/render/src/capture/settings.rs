@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 use srflow_avatar::HeadSource;
 use srflow_core::random::Key;
 use srflow_core::{Color, Size};
+use srflow_head::Look;
 use srflow_splat::Camera;
 
 use crate::RenderError;
@@ -34,6 +35,10 @@ pub struct CaptureSettings {
     /// Head model
     #[arg(long, value_name = "HEAD", default_value_t = Self::default().head, help = crate::generate::head_help())]
     pub head: HeadSource,
+    /// Version of how heads look; 1 keeps the bytes of earlier datasets
+    #[arg(long, value_name = "1|2", default_value_t = Self::default().look)]
+    #[serde(skip_serializing_if = "Look::is_unrecorded")]
+    pub look: Look,
     /// Number of cameras, 1 to 16, always including the front camera, number 8
     #[arg(long, value_name = "N", default_value_t = Self::default().cameras)]
     pub cameras: usize,
@@ -64,6 +69,7 @@ impl Default for CaptureSettings {
     fn default() -> Self {
         Self {
             head: HeadSource::builtin(),
+            look: Look::default(),
             cameras: CHOSEN.len(),
             timesteps: 100,
             size: Size { width: 550, height: 802 },

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 use srflow_avatar::capture::{Capture, HeadRecord};
-use srflow_avatar::{Avatar, HeadSource, PosedHead};
+use srflow_avatar::{Avatar, PosedHead};
 use srflow_files::{FileKind, FileProblem, parse_error_in_words, read_text};
 use srflow_head::HeadPose;
 use srflow_splat::{Frame, Gaussians, Options, Outputs, Rasterizer};
@@ -60,8 +60,7 @@ impl TrueCapture {
         })?;
         let record = HeadRecord::read(dir)?
             .ok_or_else(|| unknown("it has no head.json, which names its head".to_owned()))?;
-        let source: HeadSource =
-            record.head.parse().map_err(|reason| unknown(format!("head.json: {reason}")))?;
+        let source = record.source().map_err(|reason| unknown(format!("head.json: {reason}")))?;
         if let Some(missing) = source.paths().iter().find(|path| !path.exists()) {
             return Err(unknown(format!(
                 "the files of its head {source} are missing: {}; a relative path counts from the current folder",

@@ -93,7 +93,7 @@ impl Expected {
         let (settings, _) = Settings::of(manifest).ok().filter(|_| is_of_this_version(manifest))?;
         let rig = settings.rig();
         let follows = settings.head.is_builtin() && !settings.motion.is_of_files();
-        let model = follows.then(|| settings.head.model(scene.subject).ok()).flatten();
+        let model = follows.then(|| settings.dressed_head().model(scene.subject).ok()).flatten();
         let action = model.map(|model| {
             let action = Action::new(&settings, &rig, number, scene, &model);
             (model, action)

@@ -56,7 +56,7 @@ impl ScenePairs {
         let background = background::chosen(&self.backgrounds, number, self.settings.seed);
         let entry = self.settings.entry(number, SceneSplit::Train, self.pairs, background);
         // Scenes are kept with their avatars.
-        let avatar = subject(&Avatars::keeping(1), &self.settings.head, &entry)?;
+        let avatar = subject(&Avatars::keeping(1), &self.settings.dressed_head(), &entry)?;
         Scene::new(&self.settings, &self.rig, number, &entry, avatar)
     }
 }

@@ -80,7 +80,7 @@ fn checked_plan(settings: &Settings, avatars: &Avatars) -> Result<Manifest, Rend
     let manifest = settings.plan()?;
     let from_files = !settings.head.is_builtin() || settings.motion.is_of_files();
     if let (true, Some(entry)) = (from_files, manifest.scenes.first()) {
-        let avatar = scene::subject(avatars, &settings.head, entry)?;
+        let avatar = scene::subject(avatars, &settings.dressed_head(), entry)?;
         check_length(settings, &manifest, &avatar)?;
     }
     Ok(manifest)

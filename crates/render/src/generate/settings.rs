@@ -8,6 +8,7 @@ use srflow_avatar::HeadSource;
 use srflow_core::random::Key;
 use srflow_core::{Numbers, Size, excerpt};
 use srflow_files::FlowFormat;
+use srflow_head::Look;
 use srflow_splat::Device;
 
 use super::background::{self, Background};
@@ -34,6 +35,10 @@ pub struct Settings {
     /// Head model
     #[arg(long, value_name = "HEAD", default_value_t = Self::default().head, help = head_help())]
     pub head: HeadSource,
+    /// Version of how heads look; 1 keeps the bytes of earlier datasets
+    #[arg(long, value_name = "1|2", default_value_t = Self::default().look)]
+    #[serde(skip_serializing_if = "Look::is_unrecorded")]
+    pub look: Look,
     /// Number of scenes, one subject each
     #[arg(long, value_name = "N", default_value_t = Self::default().scenes)]
     pub scenes: u32,
@@ -100,6 +105,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             head: HeadSource::builtin(),
+            look: Look::default(),
             scenes: 27,
             frames: 413.37,
             size: Size { width: FULL_SIZE.0, height: FULL_SIZE.1 },
@@ -128,6 +134,11 @@ impl Settings {
             recording: Recording::wild(),
             ..Self::default()
         }
+    }
+
+    /// The head with its look.
+    pub(crate) fn dressed_head(&self) -> HeadSource {
+        self.head.with_look(self.look)
     }
 
     /// Checks the settings and plans the dataset.
@@ -177,6 +188,7 @@ impl Settings {
         let arguments = &manifest.arguments;
         let settings = arguments.settings().map_err(|error| error.to_string())?;
         let mut settings = with_flat_recording(settings)?;
+        head::name_look(&mut settings);
         // What is in files is known by its fingerprint alone, and a device may be one that this build lacks.
         let mut text = |field: &str| settings.as_object_mut().and_then(|settings| settings.remove(field));
         let [head, background, motion, _] = ["head", "background", "motion", "device"].map(&mut text);
@@ -422,7 +434,8 @@ mod tests {
 
     #[test]
     fn the_arguments_of_a_dataset_are_those_that_it_always_had() {
-        let manifest = plan(&Settings { scenes: 2, frames: 3.0, ..Settings::wild() }).unwrap();
+        let first = Settings { look: Look::First, scenes: 2, frames: 3.0, ..Settings::wild() };
+        let manifest = plan(&first).unwrap();
         let mut arguments: Value =
             serde_json::from_str(&serde_json::to_string(&manifest.arguments).unwrap()).unwrap();
         let recording = serde_json::json!({
@@ -436,7 +449,10 @@ mod tests {
         });
         assert_eq!(arguments, expected);
         let (settings, planned) = Settings::of(&manifest).unwrap();
-        assert_eq!((settings, planned), (Settings { scenes: 2, frames: 3.0, ..Settings::wild() }, manifest));
+        assert_eq!((settings, planned), (first.clone(), manifest));
+        let manifest = plan(&Settings { look: Look::Second, ..first }).unwrap();
+        assert!(serde_json::to_string(&manifest.arguments).unwrap().contains(r#""look":2"#));
+        assert_eq!(Settings::of(&manifest).unwrap().0.look, Look::Second);
     }
 
     #[test]

@@ -145,7 +145,7 @@ impl<'a> Plan for Scenes<'a> {
 
     fn group(&self, number: u32) -> Result<Scene, RenderError> {
         let entry = self.scene(number);
-        let avatar = scene::subject(self.avatars, &self.settings.head, entry)?;
+        let avatar = scene::subject(self.avatars, &self.settings.dressed_head(), entry)?;
         Scene::new(self.settings, &self.rig, number, entry, avatar)
     }
 

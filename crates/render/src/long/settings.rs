@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use srflow_avatar::HeadSource;
+use srflow_head::Look;
 
 use crate::RenderError;
 use crate::clap::Args;
@@ -53,6 +54,10 @@ pub struct LongSettings {
     #[arg(long, value_name = "HEAD", default_values_t = Self::default().head, help = heads_help())]
     #[serde(skip_serializing_if = "is_default")]
     pub head: Vec<HeadSource>,
+    /// Version of how heads look; 1 keeps the bytes of earlier datasets
+    #[arg(long, value_name = "1|2", default_value_t = Self::default().look)]
+    #[serde(skip_serializing_if = "Look::is_unrecorded")]
+    pub look: Look,
     /// Random seed
     #[arg(long, value_name = "N", default_value_t = Self::default().seed)]
     pub seed: u64,
@@ -73,6 +78,7 @@ impl Default for LongSettings {
             glances: 1.0,
             speech: 1.0,
             head: vec![HeadSource::builtin()],
+            look: Look::default(),
             seed: 1,
         }
     }

@@ -10,7 +10,7 @@ use srflow_splat::{Frame, Gaussians, Options, Outputs, RasterizeError, Rasterize
 use super::settings::LongSettings;
 use super::timeline::Video;
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
-use crate::record::{json_text, read_record};
+use crate::record::json_text;
 use crate::synth::LANDMARKS_NAME;
 use crate::synth::portrait::BACKDROP;
 use crate::{RenderError, head};
@@ -47,16 +47,18 @@ impl Videos {
     pub fn new(settings: LongSettings) -> Result<Self, RenderError> {
         settings.check()?;
         let recorded = head::recorded_in_turn(&settings.head)?;
-        let (head, settings) = (settings.head.clone(), LongSettings { head: recorded, ..settings });
+        let head = head::with_look(&settings.head, settings.look);
+        let settings = LongSettings { head: recorded, ..settings };
         let srflow_version = env!("CARGO_PKG_VERSION").to_owned();
         Ok(Self { arguments: Arguments { srflow_version, settings }, head })
     }
 
     /// Of the set in a folder.
     pub fn read(dir: &Path) -> Result<Self, RenderError> {
-        let arguments: Arguments = read_record(&dir.join(SETTINGS_NAME))?;
-        arguments.settings.check()?;
-        Ok(Self { head: arguments.settings.head.clone(), arguments })
+        let arguments: Arguments = head::read_settings(&dir.join(SETTINGS_NAME))?;
+        let settings = &arguments.settings;
+        settings.check()?;
+        Ok(Self { head: head::with_look(&settings.head, settings.look), arguments })
     }
 
     pub fn settings(&self) -> &LongSettings {

@@ -15,7 +15,7 @@ use super::portrait::BACKDROP;
 use super::settings::{ClipPlan, Motion, SynthSettings};
 use crate::flow_parts::{FlowParts, Seen};
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
-use crate::record::{json_text, read_record};
+use crate::record::json_text;
 use crate::{RenderError, head};
 
 /// Name of the file with the arguments.
@@ -64,15 +64,18 @@ impl Clips {
     pub fn new(settings: SynthSettings) -> Result<Self, RenderError> {
         let clips = settings.plan()?;
         let recorded = head::recorded_in_turn(&settings.head)?;
-        let (head, settings) = (settings.head.clone(), SynthSettings { head: recorded, ..settings });
+        let head = head::with_look(&settings.head, settings.look);
+        let settings = SynthSettings { head: recorded, ..settings };
         let arguments = Arguments { srflow_version: env!("CARGO_PKG_VERSION").to_owned(), settings };
         Ok(Self { arguments, head, clips })
     }
 
     /// Of the dataset in a folder.
     pub fn read(dir: &Path) -> Result<Self, RenderError> {
-        let arguments: Arguments = read_record(&dir.join(SETTINGS_NAME))?;
-        Ok(Self { clips: arguments.settings.plan()?, head: arguments.settings.head.clone(), arguments })
+        let arguments: Arguments = head::read_settings(&dir.join(SETTINGS_NAME))?;
+        let settings = &arguments.settings;
+        let head = head::with_look(&settings.head, settings.look);
+        Ok(Self { clips: settings.plan()?, head, arguments })
     }
 
     fn settings(&self) -> &SynthSettings {

@@ -8,7 +8,7 @@ use std::str::FromStr;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_avatar::HeadSource;
-use srflow_avatar::capture::{Capture, CaptureView, HeadRecord, LANDMARKS_NAME, Landmarks, write_tracked};
+use srflow_avatar::capture::{Capture, CaptureView, LANDMARKS_NAME, Landmarks, write_tracked};
 use srflow_avatar::fit::{FitOptions, FitReport, FitStage, LandmarkView, Reach, fit};
 use srflow_core::{SettingError, excerpts};
 use srflow_files::{create_folder, write_file};
@@ -226,7 +226,7 @@ impl Job for FitJob {
                 ..view.clone()
             })
             .collect();
-        let record = HeadRecord::new(self.model.to_string(), self.seed, &model);
+        let record = self.model.record(self.seed, &model)?;
         let parameters = fitted.parameters(&model);
         let origin = write_tracked(&self.out, &model, &record, &views, &fitted.timesteps, parameters)?;
         let mesh_error = match &truth {

@@ -238,8 +238,9 @@ impl TrainJob {
         named: Option<HeadRecord>,
     ) -> anyhow::Result<(HeadModel, HeadRecord)> {
         let source = match (&self.model, &named) {
-            (Some(model), _) => model.clone(),
-            (None, Some(record)) => record.head.parse().map_err(|reason| {
+            (Some(model), Some(record)) => model.with_look(record.look),
+            (Some(model), None) => model.clone(),
+            (None, Some(record)) => record.source().map_err(|reason| {
                 anyhow!("{}: {reason}; give the head as `model`", capture.join(HEAD_NAME).display())
             })?,
             (None, None) => wrong_settings!(

@@ -1,0 +1,433 @@
+//! Folds of the skin that action units make, after the descriptions of FACS (Ekman, Friesen and Hager 2002): lines on the face, each a groove
+//! with a bulge on one side. They show in the light on the skin, and do not move it.
+
+use glam::Vec3;
+
+use super::Dressing;
+use super::surface::Surface;
+use crate::{HeadModel, Region, Side};
+
+const MM: f32 = 1e-3;
+
+/// A point of the face: a landmark of the left half (dlib's number) and an offset in millimetres outward, up and forward.
+type Place = (usize, [f32; 3]);
+
+/// A fold of the left half of the face. The right half has its mirror image.
+struct Fold {
+    /// The line, with the bulge on its left as seen from outside.
+    line: &'static [Place],
+    /// Depth of the groove in millimetres at full strength, in a young and in an old face.
+    depth: [f32; 2],
+    /// Distance from the bottom of the groove at which it is 1/e as deep, in millimetres.
+    width: f32,
+    /// Height of the bulge relative to the depth.
+    bulge: f32,
+    /// Strength at rest in an old face.
+    at_rest: f32,
+    /// Action units that make it, with its strength at their full intensity.
+    units: &'static [(u8, f32)],
+}
+
+const NASOLABIAL: &[Place] = &[
+    (54, [12.5, -11.0, 0.0]),
+    (54, [12.0, 0.0, 0.0]),
+    (54, [9.0, 9.5, 0.0]),
+    (35, [13.0, -3.5, 0.0]),
+    (35, [7.5, 6.5, 0.0]),
+];
+
+static FOLDS: [Fold; 20] = [
+    // From the wing of the nose to beside the corner of the mouth; the cheek bulges over it.
+    Fold {
+        line: NASOLABIAL,
+        depth: [0.75, 1.25],
+        width: 2.1,
+        bulge: 0.55,
+        at_rest: 0.3,
+        units: &[(12, 1.0), (10, 0.75), (9, 0.5), (6, 0.2), (14, 0.3), (20, 0.3)],
+    },
+    // Crow's feet.
+    Fold {
+        line: &[(45, [4.5, 2.0, 0.0]), (45, [10.0, 4.5, 0.0]), (45, [16.0, 8.5, 0.0])],
+        depth: [0.10, 0.42],
+        width: 0.9,
+        bulge: 0.4,
+        at_rest: 0.25,
+        units: &[(6, 1.0), (12, 0.2)],
+    },
+    Fold {
+        line: &[(45, [5.0, -1.0, 0.0]), (45, [11.0, -1.0, 0.0]), (45, [18.0, -0.5, 0.0])],
+        depth: [0.12, 0.42],
+        width: 0.9,
+        bulge: 0.4,
+        at_rest: 0.25,
+        units: &[(6, 1.0), (12, 0.2)],
+    },
+    Fold {
+        line: &[(45, [4.0, -4.0, 0.0]), (45, [9.0, -6.5, 0.0]), (45, [15.0, -10.5, 0.0])],
+        depth: [0.10, 0.42],
+        width: 0.9,
+        bulge: 0.4,
+        at_rest: 0.2,
+        units: &[(6, 1.0), (12, 0.2)],
+    },
+    // Under the lower lid, which bulges.
+    Fold {
+        line: &[
+            (42, [3.0, -5.5, 0.0]),
+            (47, [0.0, -7.0, 0.0]),
+            (46, [0.0, -7.5, 0.0]),
+            (45, [-1.0, -6.5, 0.0]),
+        ],
+        depth: [0.30, 0.45],
+        width: 1.2,
+        bulge: 0.7,
+        at_rest: 0.3,
+        units: &[(6, 0.9), (7, 0.6), (12, 0.25)],
+    },
+    // Furrows of the cheek below it.
+    Fold {
+        line: &[(47, [2.0, -12.0, 0.0]), (46, [3.0, -13.5, 0.0]), (45, [5.0, -12.0, 0.0])],
+        depth: [0.10, 0.30],
+        width: 1.3,
+        bulge: 0.4,
+        at_rest: 0.1,
+        units: &[(6, 1.0)],
+    },
+    // Between the brows.
+    Fold {
+        line: &[
+            (22, [-4.6, -6.0, 0.0]),
+            (22, [-4.2, 1.0, 0.0]),
+            (22, [-3.0, 9.0, 0.0]),
+            (22, [-2.2, 15.0, 0.0]),
+        ],
+        depth: [0.65, 1.1],
+        width: 1.5,
+        bulge: 0.5,
+        at_rest: 0.18,
+        units: &[(4, 1.0), (9, 0.4)],
+    },
+    Fold {
+        line: &[(22, [-9.5, -4.0, 0.0]), (22, [-9.2, 4.0, 0.0]), (22, [-8.8, 10.0, 0.0])],
+        depth: [0.15, 0.4],
+        width: 1.2,
+        bulge: 0.3,
+        at_rest: 0.05,
+        units: &[(4, 1.0)],
+    },
+    // Across the root of the nose.
+    Fold {
+        line: &[(27, [7.0, 5.0, 0.0]), (27, [3.5, 3.5, 0.0]), (27, [-1.0, 3.0, 0.0])],
+        depth: [0.35, 0.6],
+        width: 1.3,
+        bulge: 0.4,
+        at_rest: 0.12,
+        units: &[(9, 0.8), (4, 0.5)],
+    },
+    // Lines on the side of the nose.
+    Fold {
+        line: &[(28, [10.0, 9.0, 0.0]), (28, [6.5, 5.5, 0.0]), (28, [2.0, 4.0, 0.0])],
+        depth: [0.35, 0.5],
+        width: 1.0,
+        bulge: 0.5,
+        at_rest: 0.0,
+        units: &[(9, 1.0)],
+    },
+    Fold {
+        line: &[(28, [11.0, 4.5, 0.0]), (28, [7.0, 1.5, 0.0]), (28, [2.5, 0.5, 0.0])],
+        depth: [0.35, 0.5],
+        width: 1.0,
+        bulge: 0.5,
+        at_rest: 0.0,
+        units: &[(9, 1.0)],
+    },
+    // Across the forehead: the middle by raising the inner brow, the sides by raising the outer.
+    Fold {
+        line: &[
+            (24, [-2.0, 11.0, 0.0]),
+            (23, [0.0, 13.0, 0.0]),
+            (22, [-3.0, 12.5, 0.0]),
+            (27, [-1.0, 31.0, 0.0]),
+        ],
+        depth: [0.25, 0.6],
+        width: 1.7,
+        bulge: 0.5,
+        at_rest: 0.2,
+        units: &[(1, 0.8), (2, 0.5)],
+    },
+    Fold {
+        line: &[
+            (24, [2.0, 19.0, 0.0]),
+            (23, [2.0, 21.5, 0.0]),
+            (22, [0.0, 21.5, 0.0]),
+            (27, [-1.0, 40.5, 0.0]),
+        ],
+        depth: [0.28, 0.65],
+        width: 1.7,
+        bulge: 0.5,
+        at_rest: 0.25,
+        units: &[(1, 0.8), (2, 0.5)],
+    },
+    Fold {
+        line: &[
+            (24, [4.0, 27.5, 0.0]),
+            (23, [2.0, 30.5, 0.0]),
+            (22, [0.0, 30.0, 0.0]),
+            (27, [-1.0, 49.0, 0.0]),
+        ],
+        depth: [0.22, 0.6],
+        width: 1.7,
+        bulge: 0.5,
+        at_rest: 0.2,
+        units: &[(1, 0.7), (2, 0.5)],
+    },
+    Fold {
+        line: &[
+            (26, [0.0, 14.0, 0.0]),
+            (25, [1.0, 13.5, 0.0]),
+            (24, [3.0, 13.5, 0.0]),
+            (23, [4.0, 16.0, 0.0]),
+        ],
+        depth: [0.22, 0.55],
+        width: 1.6,
+        bulge: 0.5,
+        at_rest: 0.1,
+        units: &[(2, 1.0)],
+    },
+    Fold {
+        line: &[(26, [0.0, 23.0, 0.0]), (25, [1.0, 22.0, 0.0]), (24, [4.0, 22.5, 0.0])],
+        depth: [0.20, 0.5],
+        width: 1.6,
+        bulge: 0.5,
+        at_rest: 0.1,
+        units: &[(2, 1.0)],
+    },
+    // The dimple.
+    Fold {
+        line: &[(54, [5.0, -4.5, 0.0]), (54, [6.0, 0.5, 0.0]), (54, [4.5, 5.0, 0.0])],
+        depth: [0.6, 0.8],
+        width: 1.6,
+        bulge: 0.45,
+        at_rest: 0.0,
+        units: &[(14, 1.0), (12, 0.25)],
+    },
+    // From the corner of the mouth down.
+    Fold {
+        line: &[(54, [5.0, -17.0, 0.0]), (54, [3.5, -10.0, 0.0]), (54, [1.0, -3.0, 0.0])],
+        depth: [0.35, 0.8],
+        width: 1.8,
+        bulge: 0.5,
+        at_rest: 0.25,
+        units: &[(15, 1.0), (17, 0.25)],
+    },
+    // Between the lower lip and the chin.
+    Fold {
+        line: &[(57, [18.0, -3.5, 0.0]), (57, [10.0, -6.0, 0.0]), (57, [-1.0, -6.5, 0.0])],
+        depth: [0.5, 0.7],
+        width: 2.2,
+        bulge: 0.3,
+        at_rest: 0.0,
+        units: &[(17, 1.0), (24, 0.5), (23, 0.4), (15, 0.4)],
+    },
+    // Lines of the upper lip, which pressed lips fold.
+    Fold {
+        line: &[(53, [-3.0, 8.5, 0.0]), (53, [-2.6, 3.0, 0.0])],
+        depth: [0.10, 0.35],
+        width: 0.9,
+        bulge: 0.3,
+        at_rest: 0.15,
+        units: &[(23, 1.0), (24, 0.6)],
+    },
+];
+
+/// The part of a fold that one Gaussian shows.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Crease {
+    /// Number of the Gaussian.
+    pub gaussian: u32,
+    /// Number of the fold: those of the left half, then those of the right.
+    pub fold: u32,
+    /// Gradient of the skin's height along the surface at full strength, at rest.
+    pub slope: Vec3,
+    /// Part of the light that does not reach the groove at full strength.
+    pub cavity: f32,
+}
+
+/// The strength of each fold in terms of a model's expressions.
+#[derive(Debug, Clone)]
+pub(super) struct Strengths(Vec<Strength>);
+
+#[derive(Debug, Clone)]
+struct Strength {
+    at_rest: f32,
+    /// For each unit the strength at full intensity, and the intensity as a sum of expressions.
+    units: Vec<(f32, Vec<(usize, f32)>)>,
+}
+
+impl Strengths {
+    fn new(model: &HeadModel, age: f32) -> Self {
+        let of = |side: Side, fold: &Fold| Strength {
+            at_rest: fold.at_rest * age * age,
+            units: fold
+                .units
+                .iter()
+                .filter_map(|&(number, most)| Some((most, intensity(model, number, side)?)))
+                .collect(),
+        };
+        let both = [Side::Left, Side::Right];
+        Self(both.into_iter().flat_map(|side| FOLDS.iter().map(move |fold| of(side, fold))).collect())
+    }
+
+    /// With these weights of the model's expressions.
+    pub fn at(&self, expressions: &[f32]) -> Vec<f32> {
+        let weight =
+            |&(expression, share): &(usize, f32)| share * expressions.get(expression).unwrap_or(&0.0);
+        let of = |strength: &Strength| {
+            let units = strength
+                .units
+                .iter()
+                .map(|(most, intensity)| most * intensity.iter().map(weight).sum::<f32>().clamp(0.0, 1.0));
+            strength.at_rest + units.sum::<f32>()
+        };
+        self.0.iter().map(|strength| of(strength).min(1.3)).collect()
+    }
+}
+
+/// The intensity of an action unit on one half of the face as a sum of expressions: the least-squares fit to their weights.
+pub(super) fn intensity(model: &HeadModel, number: u8, side: Side) -> Option<Vec<(usize, f32)>> {
+    let unit = |side| model.action_units.iter().find(|unit| unit.number == number && unit.side == side);
+    let unit = unit(side).or_else(|| unit(Side::Both))?;
+    let squares: f32 = unit.expressions.iter().map(|(_, weight)| weight * weight).sum();
+    (squares > 0.0).then(|| unit.expressions.iter().map(|&(at, weight)| (at, weight / squares)).collect())
+}
+
+/// Smaller slopes are left out.
+const FLAT: f32 = 0.01;
+
+/// What the first `skin` Gaussians of a head show of the folds, in their order; and the folds' strengths.
+pub(super) fn creases(dressing: &Dressing, skin: usize) -> (Vec<Crease>, Strengths) {
+    let surface = dressing.surface;
+    let age = dressing.appearance.age;
+    let lines: Vec<(Line, &Fold)> = [false, true]
+        .into_iter()
+        .flat_map(|mirrored| FOLDS.iter().map(move |fold| (Line::on(surface, fold, mirrored), fold)))
+        .collect();
+    let mut creases = Vec::new();
+    for (gaussian, (triangle, splat)) in dressing.splats[..skin].iter().enumerate() {
+        let region = surface.model.regions[*triangle as usize];
+        if !matches!(region, Region::Skin | Region::Brow | Region::Scalp) {
+            continue;
+        }
+        for (number, (line, fold)) in lines.iter().enumerate() {
+            let Some((slope, cavity)) = line.relief(splat.position, surface.size, fold, age) else {
+                continue;
+            };
+            creases.push(Crease { gaussian: gaussian as u32, fold: number as u32, slope, cavity });
+        }
+    }
+    (creases, Strengths::new(surface.model, age))
+}
+
+/// The line of a fold on a head.
+struct Line {
+    points: Vec<Vec3>,
+    /// Normal of the skin at each point.
+    normals: Vec<Vec3>,
+    low: Vec3,
+    high: Vec3,
+    /// Sign of the side of the bulge: mirror images bulge to the other.
+    side: f32,
+}
+
+/// Points of a line, from which distances are measured.
+const STEPS: usize = 24;
+
+impl Line {
+    fn on(surface: &Surface, fold: &Fold, mirrored: bool) -> Self {
+        let outward = if mirrored { -1.0 } else { 1.0 };
+        let skin = surface.triangles_of(&[Region::Skin, Region::Brow, Region::Scalp, Region::Lips]);
+        let knots: Vec<Vec3> = fold
+            .line
+            .iter()
+            .map(|&(landmark, [x, y, z])| {
+                let landmark = if mirrored { mirror(landmark) } else { landmark };
+                surface.landmarks[landmark] + Vec3::new(outward * x, y, z) * (MM * surface.size)
+            })
+            .collect();
+        let reach = 0.03 * surface.size;
+        let near: Vec<u32> = skin
+            .into_iter()
+            .filter(|&t| {
+                let origin = surface.frames[t as usize].origin;
+                knots.iter().any(|knot| (origin - *knot).truncate().length() < reach) && origin.z > 0.0
+            })
+            .collect();
+        // Offsets leave the surface: the point is the one in front of the same place.
+        let mut points = Vec::new();
+        let mut normals = Vec::new();
+        for step in 0..=STEPS {
+            let knot = super::catmull_rom(&knots, step as f32 / STEPS as f32);
+            if let Some(point) = super::nearest_point(surface, &near, knot) {
+                points.push(point.position);
+                normals.push(point.normal);
+            }
+        }
+        let far = Vec3::splat(4.0 * fold.width * MM * surface.size);
+        let low = points.iter().copied().fold(Vec3::MAX, Vec3::min) - far;
+        let high = points.iter().copied().fold(Vec3::MIN, Vec3::max) + far;
+        Self { points, normals, low, high, side: outward }
+    }
+
+    /// Slope and cavity of the fold at a point of the skin.
+    fn relief(&self, p: Vec3, size: f32, fold: &Fold, age: f32) -> Option<(Vec3, f32)> {
+        if p.cmplt(self.low).any() || p.cmpgt(self.high).any() {
+            return None;
+        }
+        let segments = self.points.windows(2).enumerate();
+        let (at, nearest, along) = segments
+            .map(|(number, ends)| {
+                let way = ends[1] - ends[0];
+                let share =
+                    ((p - ends[0]).dot(way) / way.length_squared().max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
+                (number as f32 + share, ends[0] + way * share, way)
+            })
+            .min_by(|a, b| a.1.distance_squared(p).total_cmp(&b.1.distance_squared(p)))?;
+        let share = at / (self.points.len() - 1) as f32;
+        // It fades out at both ends.
+        let fade = super::smoothstep((0.5 - (share - 0.5).abs()) / 0.28);
+        let normal = self.normals[at as usize];
+        let across = normal.cross(along).normalize_or_zero() * self.side;
+        let mm = MM * size;
+        let off = (p - nearest) / mm;
+        let distance = off.dot(across);
+        // Beyond the ends of the line there is no fold, nor on skin behind.
+        if (off - across * distance).length() > 2.0 {
+            return None;
+        }
+        let depth = (fold.depth[0] + (fold.depth[1] - fold.depth[0]) * age) * fade;
+        let bell = |centre: f32, width: f32| {
+            let q = (distance - centre) / width;
+            (libm::expf(-q * q), -2.0 * q / width)
+        };
+        let (groove, groove_slope) = bell(0.0, fold.width);
+        let (bulge, bulge_slope) = bell(2.4 * fold.width, 1.7 * fold.width);
+        let slope = depth * (fold.bulge * bulge * bulge_slope - groove * groove_slope);
+        let cavity = 0.32 * (depth / fold.width).min(1.0) * groove;
+        (slope.abs() > FLAT || cavity > FLAT).then_some((across * slope, cavity))
+    }
+}
+
+/// The landmark in the other half of the face, of dlib's 68.
+fn mirror(landmark: usize) -> usize {
+    match landmark {
+        17..=26 => 43 - landmark,
+        27..=30 => landmark,
+        31..=35 => 66 - landmark,
+        42..=45 => 81 - landmark,
+        46..=47 => 87 - landmark,
+        48..=54 => 102 - landmark,
+        55..=59 => 114 - landmark,
+        _ => landmark,
+    }
+}

@@ -1,0 +1,229 @@
+//! Light on skin that moves: as surfaces turn and fold, they darken and brighten. Nothing of it is motion.
+
+use glam::{Quat, Vec3};
+use rayon::prelude::*;
+use srflow_splat::{Gaussians, SH_0};
+
+use super::folds::intensity;
+use super::folds::{Crease, Strengths, creases};
+use super::light::{Exposure, Lit, bake_posed};
+use super::{Dressing, Splat};
+use crate::{HeadModel, HeadPose, Region, ShapedHead, Side, TriangleFrame, vertex_normals};
+
+/// How the colours of a head's Gaussians change as it moves in light that stands still. The head's shadows on itself are those at rest, and what
+/// some action units change of them.
+#[derive(Debug, Clone)]
+pub struct Shading {
+    /// Light that reaches each vertex at rest; `None` for those without a lit surface.
+    lit: Vec<Option<Lit>>,
+    exposures: Vec<Exposure>,
+    shadows: Vec<Shadows>,
+    /// The vertices on which shadows change.
+    changing: Vec<u32>,
+    /// Light on each vertex at rest.
+    at_rest: Vec<Vec3>,
+    /// Linear reflectance of the skin.
+    albedo: Vec3,
+    /// Place of each Gaussian that changes, the first ones, on its triangle, in barycentric coordinates.
+    places: Vec<(u32, Vec3)>,
+    creases: Vec<Crease>,
+    strengths: Strengths,
+    /// Rotation of each triangle at rest.
+    rest: Vec<Quat>,
+}
+
+/// What an action unit changes of the exposure of vertices.
+#[derive(Debug, Clone)]
+struct Shadows {
+    /// The unit's intensity on the left and the right half as a sum of expressions.
+    intensities: [Vec<(usize, f32)>; 2],
+    /// Vertices, whether each is on the right half, and the change at full intensity.
+    changes: Vec<(u32, bool, Exposure)>,
+}
+
+/// Action units that change shadows.
+const UNITS: [u8; 7] = [43, 4, 6, 9, 12, 1, 10];
+
+/// Vertices that a unit moves less keep their exposure, metres.
+const MOVED: f32 = 2e-4;
+
+/// Least and greatest factor of light.
+const FACTORS: (f32, f32) = (0.25, 2.5);
+
+/// Gaussians whose colours are computed together.
+const CHUNK: usize = 4096;
+
+impl Shading {
+    /// Of the Gaussians of a head that is dressed so far: skin, then eyes.
+    pub(super) fn new(dressing: &Dressing, shaped: &ShapedHead) -> Self {
+        let surface = dressing.surface;
+        let (creases, strengths) = creases(dressing, dressing.lit);
+        let mut is_lit = vec![false; surface.vertices.len()];
+        for (triangle, region) in surface.model.triangles.iter().zip(&surface.model.regions) {
+            if !matches!(region, Region::Teeth | Region::MouthInside | Region::Clear) {
+                triangle.iter().for_each(|v| is_lit[*v as usize] = true);
+            }
+        }
+        let lit: Vec<Option<Lit>> = dressing
+            .exposures
+            .iter()
+            .zip(is_lit)
+            .map(|(exposure, is_lit)| is_lit.then(|| Lit::of(exposure)))
+            .collect();
+        let albedo = dressing.appearance.skin;
+        let at_rest = lit
+            .iter()
+            .zip(&surface.normals)
+            .map(|(lit, normal)| lit.map_or(Vec3::ONE, |lit| lit.on(*normal, albedo)))
+            .collect();
+        let place = |(triangle, splat): &(u32, Splat)| {
+            (*triangle, super::nearest_weights(surface.corners(*triangle), splat.position))
+        };
+        let places = dressing.splats[..dressing.lit].iter().map(place).collect();
+        let rest = surface.frames.iter().map(|frame| frame.rotation).collect();
+        let shadows: Vec<Shadows> =
+            UNITS.iter().filter_map(|&number| Shadows::new(dressing, shaped, number)).collect();
+        let mut changing: Vec<u32> =
+            shadows.iter().flat_map(|unit| unit.changes.iter().map(|c| c.0)).collect();
+        changing.sort_unstable();
+        changing.dedup();
+        let exposures = dressing.exposures.clone();
+        Self { lit, exposures, shadows, changing, at_rest, albedo, places, creases, strengths, rest }
+    }
+
+    /// Light that reaches the vertices with these weights of expressions.
+    fn lit(&self, expressions: &[f32]) -> std::borrow::Cow<'_, [Option<Lit>]> {
+        let of = |intensity: &[(usize, f32)]| {
+            let terms = intensity.iter().map(|&(at, share)| share * expressions.get(at).unwrap_or(&0.0));
+            terms.sum::<f32>().clamp(0.0, 1.0)
+        };
+        let shown: Vec<(&Shadows, [f32; 2])> = self
+            .shadows
+            .iter()
+            .map(|shadows| (shadows, [of(&shadows.intensities[0]), of(&shadows.intensities[1])]))
+            .filter(|(_, sides)| *sides != [0.0; 2])
+            .collect();
+        if shown.is_empty() {
+            return (&self.lit).into();
+        }
+        let mut exposures = self.exposures.clone();
+        for (shadows, sides) in shown {
+            for &(vertex, right, change) in &shadows.changes {
+                let exposure = &mut exposures[vertex as usize];
+                *exposure = *exposure + change * sides[usize::from(right)];
+            }
+        }
+        let mut lit = self.lit.clone();
+        for &vertex in &self.changing {
+            let vertex = vertex as usize;
+            lit[vertex] = lit[vertex].map(|_| Lit::of(&exposures[vertex].clamped()));
+        }
+        lit.into()
+    }
+
+    /// Shades the Gaussians of a head of `model` in `pose`, whose vertices and triangles are these.
+    pub fn shade(
+        &self,
+        model: &HeadModel,
+        pose: &HeadPose,
+        vertices: &[Vec3],
+        frames: &[TriangleFrame],
+        gaussians: &mut Gaussians,
+    ) {
+        let normals: Vec<Vec3> = vertex_normals(vertices, &model.triangles)
+            .into_par_iter()
+            .with_min_len(CHUNK)
+            .map(|normal| normal.normalize_or(Vec3::Y))
+            .collect();
+        let lit = self.lit(&pose.expressions);
+        let factors: Vec<Vec3> = (0..normals.len())
+            .into_par_iter()
+            .with_min_len(CHUNK)
+            .map(|v| lit[v].map_or(Vec3::ONE, |lit| coded(lit.on(normals[v], self.albedo) / self.at_rest[v])))
+            .collect();
+        let strengths = self.strengths.at(&pose.expressions);
+        let coefficients = gaussians.sh_len();
+        let shaded = self.places.len().min(gaussians.len());
+        let colours = &mut gaussians.sh[..shaded * coefficients];
+        colours.par_chunks_mut(CHUNK * coefficients).zip(self.places.par_chunks(CHUNK)).enumerate().for_each(
+            |(chunk, (colours, places))| {
+                let first = chunk * CHUNK;
+                let start = self.creases.partition_point(|crease| (crease.gaussian as usize) < first);
+                let mut creases = self.creases[start..].iter().peekable();
+                for (number, (colour, &(triangle, weights))) in
+                    colours.chunks_mut(coefficients).zip(places).enumerate()
+                {
+                    let corners = model.triangles[triangle as usize].map(|v| v as usize);
+                    let (mut slope, mut seen) = (Vec3::ZERO, 1.0);
+                    while let Some(crease) =
+                        creases.next_if(|crease| crease.gaussian as usize == first + number)
+                    {
+                        let strength = strengths[crease.fold as usize];
+                        slope += crease.slope * strength;
+                        seen *= 1.0 - crease.cavity * strength;
+                    }
+                    let mix = |of: &dyn Fn(usize) -> Vec3| {
+                        of(corners[0]) * weights.x + of(corners[1]) * weights.y + of(corners[2]) * weights.z
+                    };
+                    let mut factor = mix(&|v| factors[v]);
+                    if slope != Vec3::ZERO || seen < 1.0 {
+                        let normal = mix(&|v| normals[v]).normalize_or(Vec3::Y);
+                        let turned =
+                            frames[triangle as usize].rotation * self.rest[triangle as usize].inverse();
+                        let folded = (normal - turned * slope).normalize_or(normal);
+                        let [a, b, c] = corners;
+                        if let (Some(a), Some(b), Some(c)) = (lit[a], lit[b], lit[c]) {
+                            let lit = Lit::mixed([a, b, c], weights);
+                            let light = lit.on(folded, self.albedo) / lit.on(normal, self.albedo);
+                            // Light in a groove was reflected by skin before, which absorbs blue.
+                            let depth = 1.0 - seen;
+                            let groove = Vec3::ONE - Vec3::new(0.8, 1.0, 1.1) * depth;
+                            factor *= coded(light * groove);
+                        }
+                    }
+                    for (number, coefficient) in colour.iter_mut().enumerate() {
+                        for (value, factor) in coefficient.iter_mut().zip(factor.to_array()) {
+                            // The colour is 0.5 and the sum of the terms; sRGB's curve is a power of the colour and 0.055.
+                            let constant =
+                                if number == 0 { 0.555 * (factor - 1.0) / SH_0 as f32 } else { 0.0 };
+                            *value = *value * factor + constant;
+                        }
+                    }
+                }
+            },
+        );
+    }
+}
+
+impl Shadows {
+    /// Of action unit `number`; `None` where the model lacks it.
+    fn new(dressing: &Dressing, shaped: &ShapedHead, number: u8) -> Option<Self> {
+        let surface = dressing.surface;
+        let model = surface.model;
+        let intensities = [intensity(model, number, Side::Left)?, intensity(model, number, Side::Right)?];
+        let mut pose = model.pose_of_action_units(&[(number, Side::Both, 1.0)]).ok()?;
+        pose.joints.clear();
+        let mut vertices = Vec::new();
+        model.vertices(shaped, &pose, &mut vertices);
+        let normals: Vec<Vec3> = vertex_normals(&vertices, &model.triangles)
+            .into_iter()
+            .map(|normal| normal.normalize_or(Vec3::Y))
+            .collect();
+        let moved = |v: usize| vertices[v].distance(surface.vertices[v]) > MOVED * surface.size;
+        let after = bake_posed(surface, &vertices, &normals, moved);
+        let before = bake_posed(surface, surface.vertices, &surface.normals, moved);
+        let mut changes: Vec<Exposure> =
+            after.iter().zip(&before).map(|(after, before)| *after + *before * -1.0).collect();
+        surface.smooth(&mut changes);
+        let of = |(v, change): (usize, Exposure)| (v as u32, surface.vertices[v].x < 0.0, change);
+        let shown = |change: &Exposure| [change.sky, change.key, change.fill].iter().any(|c| c.abs() > 4e-3);
+        let changes = changes.into_iter().enumerate().filter(|(_, change)| shown(change)).map(of).collect();
+        Some(Self { intensities, changes })
+    }
+}
+
+/// The factor of an sRGB value and 0.055 for a factor of light.
+fn coded(light: Vec3) -> Vec3 {
+    let channel = |x: f32| libm::powf(x.clamp(FACTORS.0, FACTORS.1), 1.0 / 2.4);
+    Vec3::new(channel(light.x), channel(light.y), channel(light.z))
+}

@@ -10,12 +10,12 @@ mkdir -p ict
 cp -n "$1"/* ict
 rm -f ict/identity08?.obj ict/identity09?.obj
 
-render="srflow render --size 440x640 --splits 1,0,0"
+render="srflow render --look 1 --size 440x640 --splits 1,0,0"
 $render --background white --scenes 16 --frames 12 --seed 516 --out clean-white
 $render --scenes 32 --frames 12 --seed 532 --out clean-procedural
 $render --preset wild --scenes 40 --frames 5 --seed 621 --out fast-wild
 $render --background white --scenes 12 --frames 5 --seed 622 --out fast-plain
-synth="srflow mer synth --only-key-frames --side 256 --subjects 16 --clips 6"
+synth="srflow mer synth --look 1 --only-key-frames --side 256 --subjects 16 --clips 6"
 $synth --intensity 0.15 --seed 611 --out weak-0.15
 $synth --intensity 0.3 --seed 612 --out weak-0.3
 $synth --intensity 0.6 --noise 1.5 --drift 3 --seed 613 --out weak-0.6

@@ -1,7 +1,7 @@
 """docs/explanation/micro-expression-protocol.md: which part of the face the head's motion is fitted to.
 
     pip install numpy
-    srflow mer synth --subjects 8 --clips 12 --side 192 --fps 60 --noise 2 --drift 2 --lighting 2 --only-key-frames --intensity 0.25 --out set
+    srflow mer synth --look 1 --subjects 8 --clips 12 --side 192 --fps 60 --noise 2 --drift 2 --lighting 2 --only-key-frames --intensity 0.25 --out set
     srflow mer features --data clips:set --only-key-frames --method srflow farneback --head-motion keep --out set.npz
     python tools/results/head_fits.py set set.npz
 

@@ -1,7 +1,7 @@
 """docs/explanation/micro-expression-protocol.md: what magnified motion does to recognition.
 
     pip install numpy scipy pillow
-    srflow mer synth --subjects 8 --clips 12 --side 192 --fps 60 --noise 2 --drift 2 --lighting 2 --only-key-frames --intensity 0.15 --out set
+    srflow mer synth --look 1 --subjects 8 --clips 12 --side 192 --fps 60 --noise 2 --drift 2 --lighting 2 --only-key-frames --intensity 0.15 --out set
     python tools/results/magnified_clips.py set magnified phase 3
     srflow mer run --data clips:magnified --only-key-frames --method srflow farneback --out results
 

@@ -10,6 +10,7 @@
 //! train/flow_backward/scene-0003/00000.npz16   flow from frame 1 to frame 0, at frame 1's pixels (--backward)
 //! train/head_flow/scene-0003/00000.npz16       flow with the head moving alone, its face as in frame 0 (--decompose)
 //! train/expression_flow/scene-0003/00000.npz16 what the face adds to it: the two add up to the flow (--decompose)
+//! train/shading_change/scene-0003/00000.png    change of brightness from frame 0 to frame 1 that is no motion (--shading-change)
 //! train/alpha/scene-0003/00000.png             alpha of frame 0
 //! train/mask/scene-0003/00000.png              alpha of frame 0 above one half
 //! train/occlusion/scene-0003/00000.png         pixels of frame 0 that are not visible in frame 1
@@ -45,6 +46,8 @@ pub const LAYOUT_VERSION: u32 = 1;
 const BACKWARD: &str = "flow_backward";
 const HEAD_FLOW: &str = "head_flow";
 const EXPRESSION_FLOW: &str = "expression_flow";
+/// Also its field in packed datasets.
+const SHADING_CHANGE: &str = "shading_change";
 
 /// The contents of `dataset.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -76,6 +79,9 @@ pub struct Arguments {
     /// Whether there is the flow of the head and that of the expression.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub decompose: bool,
+    /// Whether there is the change of brightness that is no motion.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub shading_change: bool,
     /// Whether there are [region maps](crate::region_map).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub regions: bool,
@@ -170,6 +176,9 @@ pub struct PairFiles {
     pub head_flow: Option<PathBuf>,
     /// What the face adds to it.
     pub expression_flow: Option<PathBuf>,
+    /// How much brighter the surface at each pixel of frame 1 is in frame 2: 16-bit PNG, 32768 and 128 times the change of the luma in levels of
+    /// 255.
+    pub shading_change: Option<PathBuf>,
     /// Alpha of frame 1, 8-bit PNG.
     pub alpha: PathBuf,
     /// Head mask of frame 1, 8-bit PNG, 0 or 255.
@@ -190,6 +199,7 @@ impl PairFiles {
         [&self.frame1, &self.frame2, &self.flow, &self.alpha, &self.mask, &self.occlusion, &self.record]
             .into_iter()
             .chain(self.other_flows().map(|(_, path)| path))
+            .chain(&self.shading_change)
             .chain(&self.depth)
             .chain(&self.regions)
     }
@@ -306,7 +316,7 @@ impl Manifest {
 
     /// The folders of each split, one per kind of file.
     pub fn kinds(&self) -> impl Iterator<Item = &'static str> + use<> {
-        let Arguments { backward, depth, decompose, regions, .. } = self.arguments;
+        let Arguments { backward, depth, decompose, shading_change, regions, .. } = self.arguments;
         let kinds = ["frames", "flow", "alpha", "mask", "occlusion", "pairs"];
         let optional = [
             (backward, BACKWARD),
@@ -314,6 +324,7 @@ impl Manifest {
             (regions, "regions"),
             (decompose, HEAD_FLOW),
             (decompose, EXPRESSION_FLOW),
+            (shading_change, SHADING_CHANGE),
         ];
         kinds.into_iter().chain(optional.into_iter().filter_map(|(has, kind)| has.then_some(kind)))
     }
@@ -330,6 +341,7 @@ impl Manifest {
             flow_backward: self.arguments.backward.then(|| file(BACKWARD, flow_ending)),
             head_flow: self.arguments.decompose.then(|| file(HEAD_FLOW, flow_ending)),
             expression_flow: self.arguments.decompose.then(|| file(EXPRESSION_FLOW, flow_ending)),
+            shading_change: self.arguments.shading_change.then(|| file(SHADING_CHANGE, "png")),
             alpha,
             mask,
             occlusion: file("occlusion", "png"),
@@ -379,6 +391,7 @@ mod tests {
                 backward: false,
                 depth: true,
                 decompose: true,
+                shading_change: true,
                 regions: true,
                 others: [("head", "builtin".into()), ("seed", u64::MAX.into())]
                     .map(|(name, value): (&str, serde_json::Value)| (name.to_owned(), value))

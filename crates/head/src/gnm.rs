@@ -16,7 +16,7 @@ use crate::regions::{divide_skin, mark_parts};
 use crate::skeleton_names::roles;
 use crate::unit_fit::fitted_units;
 use crate::unit_table::{UNITS_NAME, read_units};
-use crate::{HeadModel, Joint, Offsets, PoseCorrective, Region, Shape, Skinning};
+use crate::{HeadModel, Joint, Look, Offsets, PoseCorrective, Region, Shape, Skinning};
 
 /// The landmarks, beside the model or where the repository has them.
 pub(crate) const LANDMARKS: [&str; 2] = ["head_sparse_68.txt", "../../landmarks/head_sparse_68.txt"];
@@ -31,7 +31,7 @@ const MEMBER: f32 = 1e-4;
 ///
 /// # Errors
 /// Names the file and the array that is missing, malformed, or of another shape.
-pub(crate) fn load(path: &Path) -> Result<HeadModel, HeadError> {
+pub(crate) fn load(path: &Path, look: Look) -> Result<HeadModel, HeadError> {
     let mut file = Npz::open(path)?;
     let template = vectors(&mut file, "template_vertex_positions", None)?;
     let count = template.len();
@@ -68,7 +68,7 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, HeadError> {
     model.validate()?;
     set_regions(&mut model);
     let units = read_units(&path.with_file_name(UNITS_NAME), &model)?;
-    model.action_units = units.unwrap_or_else(|| fitted_units(&model, &[]));
+    model.action_units = units.unwrap_or_else(|| fitted_units(&model, &[], look));
     Ok(model)
 }
 

@@ -391,7 +391,7 @@ mod tests {
 
         // The reader of glTF heads reads the same back.
         let (_, path) = written("a.glb");
-        let model = crate::gltf::load(&path).unwrap();
+        let model = crate::gltf::load(&path, crate::Look::default()).unwrap();
         assert_eq!(model.triangles, [[0, 1, 2], [2, 4, 3]]);
         let read = model.texture.unwrap();
         assert_eq!(read.points, [0, 1, 2, 1, 3].map(|point| texture.points[point]));
@@ -419,7 +419,7 @@ mod tests {
             (&3.into(), &6.into())
         );
         assert_eq!(accessor(&sampler["input"])["max"][0].as_f64().unwrap() as f32, 0.08);
-        let model = crate::gltf::load(&path).unwrap();
+        let model = crate::gltf::load(&path, crate::Look::default()).unwrap();
         assert_eq!(model.expressions.len(), 2);
         let offsets: Vec<_> = model.expressions[1].offsets.iter().collect();
         assert_eq!(offsets.len(), 5, "the repeated vertex moves too");

@@ -18,7 +18,7 @@ struct Kind {
     companions: &'static [&'static str],
     /// That of them which lists the landmarks; empty where they are part of the model.
     landmarks: &'static str,
-    /// Reads the model; seed and look matter to heads that are sculpted.
+    /// Reads the model; the seed matters to heads that are sculpted, and the look also to units that they lend to others.
     load: fn(&Path, u64, Look) -> Result<HeadModel, HeadError>,
 }
 
@@ -54,7 +54,7 @@ static KINDS: [Kind; 8] = [
         about: "FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth",
         companions: &flame::COMPANIONS,
         landmarks: flame::LANDMARKS[0],
-        load: |file, _, _| flame::load(file, true),
+        load: |file, _, look| flame::load(file, true, look),
     },
     Kind {
         name: "flame-toothless",
@@ -62,7 +62,7 @@ static KINDS: [Kind; 8] = [
         about: "FLAME as published",
         companions: &flame::COMPANIONS,
         landmarks: flame::LANDMARKS[0],
-        load: |file, _, _| flame::load(file, false),
+        load: |file, _, look| flame::load(file, false, look),
     },
     Kind {
         name: "gnm",
@@ -70,7 +70,7 @@ static KINDS: [Kind; 8] = [
         about: "GNM Head 3 (gnm_head.npz)",
         companions: &gnm::COMPANIONS,
         landmarks: gnm::LANDMARKS[0],
-        load: |file, _, _| gnm::load(file),
+        load: |file, _, look| gnm::load(file, look),
     },
     Kind {
         name: "gltf",
@@ -78,7 +78,7 @@ static KINDS: [Kind; 8] = [
         about: "any rigged head as .glb or .gltf",
         companions: &gltf::COMPANIONS,
         landmarks: gltf::LANDMARKS,
-        load: |file, _, _| gltf::load(file),
+        load: |file, _, look| gltf::load(file, look),
     },
     Kind {
         name: "lam",

@@ -156,7 +156,7 @@ mod tests {
         let path = folder.path().join(UNITS_NAME);
         let model = HeadModel::builtin(3);
         assert_eq!(read_units(&path, &model).unwrap(), None, "no file");
-        write_units(&path, &model, &unit_qualities(&model)).unwrap();
+        write_units(&path, &model, &unit_qualities(&model, crate::Look::default())).unwrap();
         assert_eq!(read_units(&path, &model).unwrap().unwrap(), model.action_units);
         let text = std::fs::read_to_string(&path).unwrap();
         assert!(text.contains("\"left_at_landmarks\": 0.") && text.contains("\"side\": \"left\""), "{text}");

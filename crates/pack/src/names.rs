@@ -1,7 +1,7 @@
 //! Names of members: `KEY.FIELD.ENDING`.
 
 /// What a member may contain, by the first word of its extension, with its meaning.
-const FIELDS: [(&str, &str); 12] = [
+const FIELDS: [(&str, &str); 13] = [
     ("alpha", "alpha of frame 1: 8-bit grey"),
     ("depth", "depth of frame 1: 16-bit grey in tenths of a millimetre, 0 where there is none"),
     (
@@ -17,6 +17,10 @@ const FIELDS: [(&str, &str); 12] = [
     ("meta", "cameras, motion and action units of both frames"),
     ("occlusion", "255 where a pixel of frame 1 is not visible in frame 2, else 0"),
     ("regions", "part of the head in frame 1: 8-bit grey, 0 to 5"),
+    (
+        "shading_change",
+        "change of brightness from frame 1 to frame 2 that is no motion: 16-bit grey, 32768 and 128 times the change in levels of 255",
+    ),
 ];
 
 /// `flow` of `flow.npy`.

@@ -69,6 +69,7 @@ def render(
     stop_after: int | None = None,
     force: bool = False,
     head: str = "builtin",
+    look: str = "2",
     scenes: int = 27,
     frames: float = 413.37,
     size: str = "2200x3208",
@@ -77,6 +78,7 @@ def render(
     flow_format: str = "npz16",
     backward: bool = False,
     decompose: bool = False,
+    shading_change: bool = False,
     depth: bool = False,
     regions: bool = False,
     background: str = "#ffffff",
@@ -99,6 +101,7 @@ def render(
         stop_after: Stop after N pairs, clips or timesteps; the same command continues.
         force: Delete the dataset in the folder and start over.
         head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         scenes: Number of scenes, one subject each.
         frames: Frame pairs per scene; a fraction is the mean over scenes of nearly equal length.
         size: Size of the frames, WIDTHxHEIGHT.
@@ -107,6 +110,7 @@ def render(
         flow_format: File format of the flow: flo, png, png128, pfm, flo5, npy, npz, npz16.
         backward: Also write the flow from frame 2 to frame 1.
         decompose: Also write the flow with the head moving alone, and what the expression adds to it.
+        shading_change: Also write how much brighter or darker each surface becomes: the part of the change that is no motion.
         depth: Also write depth.
         regions: Also write region maps: skin, eyes, mouth, hair or neck for each pixel.
         background: Background: white, black, #rrggbb, `procedural` (rooms, textures, gradients, lights), or a folder of images.
@@ -1042,6 +1046,7 @@ def avatar_capture(
     out: Path,
     *,
     head: str = "builtin",
+    look: str = "2",
     cameras: int = 16,
     timesteps: int = 100,
     size: str = "550x802",
@@ -1060,6 +1065,7 @@ def avatar_capture(
     Args:
         out: Folder of the capture.
         head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         cameras: Number of cameras, 1 to 16, always including the front camera, number 8.
         timesteps: Number of timesteps.
         size: Size of the pictures, WIDTHxHEIGHT.
@@ -1425,6 +1431,7 @@ def mer_synth(
     drift: float = 1,
     lighting: float = 1,
     head: str | Sequence[str] | None = None,
+    look: str = "2",
     seed: int = 1,
     flow_format: str = "flo",
     only_key_frames: bool = False,
@@ -1446,6 +1453,7 @@ def mer_synth(
         drift: Head drift within a clip; 1 is up to 0.1 degrees and 0.15 mm to either side.
         lighting: Illumination changes; 1 is slow changes of up to 2 %, with a gradient over the face, and 0.3 % flicker at 100 Hz.
         head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         seed: Random seed.
         flow_format: File format of the true flow.
         only_key_frames: Write the onset and apex frames alone: all that features need.
@@ -1475,6 +1483,7 @@ def mer_synth_long(
     glances: float = 1,
     speech: float = 1,
     head: str | Sequence[str] | None = None,
+    look: str = "2",
     seed: int = 1,
     shard: str = "1/1",
     stop_after: int | None = None,
@@ -1497,6 +1506,7 @@ def mer_synth_long(
         glances: Glances; 1 turns the eyes by up to 18 degrees.
         speech: Speech; 1 is a short sentence now and then.
         head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         seed: Random seed.
         shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         stop_after: Stop after N pairs, clips or timesteps; the same command continues.

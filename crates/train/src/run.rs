@@ -91,11 +91,11 @@ pub struct Outcome {
 /// When the folder has no checkpoint, its last one is broken, or its `config.toml` was edited: a run keeps its configuration.
 pub fn config_of_run(run: &Path) -> Result<Config, TrainError> {
     let text = Checkpoints::of_run(run).read_config()?;
-    let config = Config::parse(&text, &run.display().to_string())?;
+    let config = recorded(&text, run)?;
     let path = run.join(RUN_CONFIG);
     if path.exists() {
         let edited = read_text(&path, FileKind::Settings)?;
-        if edited != text && Config::parse(&edited, &path.display().to_string())? != config {
+        if edited != text && recorded(&edited, &path)? != config {
             let differing = edited.lines().zip(text.lines()).find(|(edited, text)| edited != text);
             let (found, expected) = differing.unwrap_or(("another number of lines", "the same lines"));
             let expected = format!(
@@ -106,6 +106,15 @@ pub fn config_of_run(run: &Path) -> Result<Config, TrainError> {
                 .in_file(&path)
                 .into());
         }
+    }
+    Ok(config)
+}
+
+/// A configuration as a run records it. Runs of before rendered heads had several looks name none, and see the first.
+fn recorded(text: &str, file: &Path) -> Result<Config, TrainError> {
+    let mut config = Config::parse(text, &file.display().to_string())?;
+    if !text.lines().any(|line| line.starts_with("look =")) {
+        config.data.rendered.settings.insert("look".to_owned(), 1.into());
     }
     Ok(config)
 }

@@ -166,7 +166,7 @@ fn landmarks_of_a_mesh_are_found_in_pictures_of_it() {
     };
     let found: Vec<glam::Vec3> = text.lines().map(place).collect();
     assert_eq!(found.len(), 68);
-    for (points, most) in [(27..36, 0.008), (36..48, 0.005), (48..68, 0.008)] {
+    for (points, most) in [(27..36, 0.008), (36..48, 0.006), (48..68, 0.008)] {
         let errors = points.clone().map(|point| found[point].distance(truth[point]));
         let mean = errors.sum::<f32>() / points.len() as f32;
         assert!(mean < most, "{points:?}: {mean} m");

@@ -13,8 +13,7 @@ const SCORES: [(&str, f64); 2] = [("whole", 0.052_915), ("head", 0.116_660)];
 fn the_committed_weights_give_the_committed_scores() {
     let folder = tempfile::tempdir().unwrap();
     let run = |arguments: &[&str]| srflow().current_dir(folder.path()).args(arguments).output().unwrap();
-    let render =
-        "render --out set --preset wild --scenes 2 --frames 2 --size 275x401 --seed 9100 --splits 0,0,1";
+    let render = "render --out set --look 1 --preset wild --scenes 2 --frames 2 --size 275x401 --seed 9100 --splits 0,0,1";
     succeeds(&run(&render.split(' ').collect::<Vec<_>>()));
     let scores = json(&run(&["eval", "--dataset", "srflow:set", "--json"]));
     let method = &scores["methods"][1];

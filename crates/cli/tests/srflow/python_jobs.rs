@@ -140,6 +140,7 @@ fn kind(argument: &Arg) -> String {
         (value_parser!(u32).into(), "int"),
         (value_parser!(u64).into(), "int"),
         (value_parser!(usize).into(), "int"),
+        (value_parser!(srflow_head::Look).into(), "int"),
         (value_parser!(f32).into(), "float"),
         (value_parser!(f64).into(), "float"),
         (value_parser!(PathBuf), "Path"),

@@ -242,7 +242,10 @@ impl Places {
         let of = |(v, mark): (usize, &Mark)| match mark.part {
             Part::Skin => of_skin(v) * self.beyond_lids[v],
             Part::MouthLining { depth } => {
-                of_skin(self.skin[v]) * (1.0 - smoothstep(2.0, 7.0, f32::from(depth)))
+                let lips = of_skin(self.skin[v]);
+                // It stays behind them.
+                let behind = Vec3::Z * (0.12 * lips.length() * smoothstep(0.0, 2.0, f32::from(depth)));
+                (lips - behind) * (1.0 - smoothstep(2.0, 7.0, f32::from(depth)))
             }
             _ => Vec3::ZERO,
         };

@@ -81,9 +81,9 @@ impl HeadModel {
         Self { name: "builtin-average".to_owned(), identities, joints, ..average }
     }
 
-    /// The average built-in head of the first look, without an identity basis: units that it lends to other heads keep their shapes.
-    pub(crate) fn sculpted_average() -> Self {
-        Self::sculpted(Traits::default(), Look::First)
+    /// The average built-in head, without an identity basis.
+    pub(crate) fn sculpted_average(look: Look) -> Self {
+        Self::sculpted(Traits::default(), look)
     }
 
     fn sculpted(traits: Traits, look: Look) -> Self {

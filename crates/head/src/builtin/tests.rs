@@ -448,7 +448,7 @@ fn the_average_head_becomes_a_person_by_the_weights_of_their_traits() {
 fn the_average_half_is_written_on_request() {
     let Ok(path) = std::env::var("SRFLOW_WRITE_AVERAGE_HALF") else { return };
     let average = form::average_half();
-    let head = HeadModel::sculpted_average();
+    let head = HeadModel::sculpted_average(Look::First);
     let landmarks: Vec<[f32; 3]> = head.landmarks_on(&head.template).map(|p| (p / MM).to_array()).collect();
     let vertex = |(p, mark): (&Vec3, &Mark)| {
         let mouth = if mark.mouth.is_finite() { mark.mouth } else { 1e3 };

@@ -4,6 +4,7 @@ use glam::Vec3;
 use srflow_core::random::{Key, Stream};
 
 use super::light::linear_from_srgb;
+use crate::Look;
 
 /// Hair style.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -76,7 +77,22 @@ const IRISES: [([f32; 3], [f32; 3]); 6] = [
 ];
 
 impl Appearance {
-    pub fn of(seed: u64) -> Self {
+    pub fn of(seed: u64, look: Look) -> Self {
+        let drawn = Self::drawn(seed);
+        if look == Look::First {
+            return drawn;
+        }
+        // Beards go with the build of the head, and rarely with long hair.
+        let build = Key::new(seed).stream("head: build").normal();
+        let mut stream = Key::new(seed).stream("beard");
+        let bearded = build > 0.0 && stream.unit() < 0.7;
+        let stubble = if bearded { stream.uniform(0.2, 1.0) } else { 0.0 };
+        let cut = build > 0.3 && drawn.hair_style == HairStyle::Long && stream.unit() < 0.85;
+        let hair_style = if cut { HairStyle::Short } else { drawn.hair_style };
+        Self { stubble, hair_style, iris: drawn.iris * 0.8, iris_inner: drawn.iris_inner * 0.8, ..drawn }
+    }
+
+    fn drawn(seed: u64) -> Self {
         let mut stream = Key::new(seed).stream("appearance");
         let melanin = stream.unit();
         let warmth = stream.uniform(-1.0, 1.0);

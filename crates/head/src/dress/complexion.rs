@@ -8,13 +8,14 @@ use super::light::{Exposure, Material, shade};
 use super::noise::Noise;
 use super::surface::{Surface, SurfacePoint};
 use super::{Dressing, smoothstep};
-use crate::Region;
+use crate::{Look, Region};
 
 const MM: f32 = 1e-3;
 
 /// The complexion of one person. Lengths refer to an average head: positions are divided by the head's size.
 pub(super) struct Complexion<'a> {
     surface: &'a Surface<'a>,
+    look: Look,
     appearance: Appearance,
     places: Places,
     /// Distance into the lips and the scalp, metres, at the vertices.
@@ -33,6 +34,8 @@ struct Places {
     cheeks: [Vec3; 2],
     nose_tip: Vec3,
     nose_wings: [Vec3; 2],
+    /// From the second look on.
+    nostrils: Option<[Vec3; 2]>,
     chin: Vec3,
     eyes: [Vec3; 2],
     bags: [Vec3; 2],
@@ -42,7 +45,7 @@ struct Places {
 }
 
 impl Places {
-    fn new(surface: &Surface) -> Self {
+    fn new(surface: &Surface, look: Look) -> Self {
         let l: Vec<Vec3> = surface.landmarks.iter().map(|&p| p / surface.size).collect();
         let cheek = |lid: usize, mouth: usize, jaw: usize| l[lid] * 0.42 + l[mouth] * 0.26 + l[jaw] * 0.32;
         let bag = |a: usize, b: usize| (l[a] + l[b]) * 0.5 - Vec3::Y * (7.0 * MM);
@@ -51,6 +54,8 @@ impl Places {
             cheeks: [cheek(41, 48, 2), cheek(46, 54, 14)],
             nose_tip: l[30],
             nose_wings: [l[31], l[35]],
+            nostrils: (look >= Look::Second)
+                .then(|| [31, 35].map(|wing| l[wing].lerp(l[33], 0.46) + Vec3::new(0.0, 1.0, 0.5) * MM)),
             chin: l[8],
             eyes: [1, 0].map(|eye| surface.eyes[eye] / surface.size),
             bags: [bag(40, 41), bag(46, 47)],
@@ -72,8 +77,9 @@ impl<'a> Complexion<'a> {
         let mut stream = dressing.stream("complexion");
         Self {
             surface,
+            look: dressing.look,
             appearance: dressing.appearance.clone(),
-            places: Places::new(surface),
+            places: Places::new(surface, dressing.look),
             lips: surface.signed_distance(&[Region::Lips], 0.02),
             scalp: surface.signed_distance(&[Region::Scalp], 0.03),
             rim: surface.rim_distance(0.02),
@@ -214,9 +220,14 @@ impl<'a> Complexion<'a> {
         };
         let oily = spot(p, self.places.nose_tip, 16.0)
             + 0.7 * smoothstep((p.y - self.places.brow_height) / (15.0 * MM));
-        let sheen = 0.035 + 0.035 * oily.min(1.0) + 0.055 * lip;
-        let material =
-            Material { albedo, wrap: Vec3::new(0.36, 0.16, 0.09), sheen, gloss: 13.0 + 14.0 * lip };
+        let oily = oily.min(1.0);
+        let (sheen, gloss) = match self.look {
+            Look::First => (0.035 + 0.035 * oily, 13.0),
+            // Oil shines in small highlights between the pores.
+            Look::Second => (0.045 + 0.075 * oily, 16.0 + 10.0 * oily),
+        };
+        let (sheen, gloss) = (sheen + 0.055 * lip, gloss + 14.0 * lip);
+        let material = Material { albedo, wrap: Vec3::new(0.36, 0.16, 0.09), sheen, gloss };
         shade(&material, normal, exposure)
     }
 
@@ -235,6 +246,12 @@ impl<'a> Complexion<'a> {
             + 0.35 * spot(p, places.chin, 12.0);
         let flush = (flush * a.flush * (1.0 + 0.5 * self.blotches.at(p * 140.0))).clamp(0.0, 1.3);
         albedo *= Vec3::ONE.lerp(Vec3::new(1.02, 0.80, 0.77), flush * (1.0 - 0.55 * a.melanin));
+        if let Some(nostrils) = places.nostrils {
+            // Little light comes back out of them.
+            let down = smoothstep((0.15 - point.normal.y) / 0.55);
+            let inside: f32 = nostrils.iter().map(|&n| spot(p, n, 2.6)).sum();
+            albedo *= 1.0 - 0.86 * (1.5 * inside * down).min(1.0);
+        }
         let bags: f32 = places.bags.iter().map(|&b| spot(p, b, 7.5)).sum();
         let lids: f32 = places.eyes.iter().map(|&e| spot(p, e + Vec3::Z * (12.0 * MM), 10.0)).sum();
         albedo *= Vec3::ONE.lerp(Vec3::new(0.82, 0.74, 0.76), (0.45 + 0.4 * a.age) * bags.min(1.0));
@@ -282,7 +299,8 @@ impl<'a> Complexion<'a> {
             |axis: Vec3| self.relief_height(p + axis * d, lip) - self.relief_height(p - axis * d, lip);
         let gradient = Vec3::new(slope(Vec3::X), slope(Vec3::Y), slope(Vec3::Z));
         let tangent = gradient - normal * normal.dot(gradient);
-        (normal - tangent * 0.21).normalize_or(normal)
+        let depth = if self.look == Look::First { 0.21 } else { 0.29 };
+        (normal - tangent * depth).normalize_or(normal)
     }
 
     fn cloth_color(&self, p: Vec3, normal: Vec3, cloth: f32, exposure: &Exposure) -> Vec3 {

@@ -66,7 +66,7 @@ pub fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64, look: Look) -> R
     let surface = Surface::new(model, shaped);
     let mut dressing = Dressing {
         surface: &surface,
-        appearance: Appearance::of(seed),
+        appearance: Appearance::of(seed, look),
         exposures: light::bake(&surface),
         look,
         seed,

@@ -48,7 +48,7 @@ const UNITS: [u8; 7] = [43, 4, 6, 9, 12, 1, 10];
 const MOVED: f32 = 2e-4;
 
 /// Least and greatest factor of light.
-const FACTORS: (f32, f32) = (0.25, 2.5);
+const FACTORS: (f32, f32) = (0.25, 6.0);
 
 /// Gaussians whose colours are computed together.
 const CHUNK: usize = 4096;

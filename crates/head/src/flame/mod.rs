@@ -25,7 +25,7 @@ use crate::regions::{divide_skin, mark_parts};
 use crate::unit_fit::fitted_units;
 use crate::unit_table::{UNITS_NAME, read_units};
 use crate::{
-    ActionUnit, HeadModel, Joint, JointRole, Offsets, PoseCorrective, Region, Shape, Side, Skinning,
+    ActionUnit, HeadModel, Joint, JointRole, Look, Offsets, PoseCorrective, Region, Shape, Side, Skinning,
     TextureMap,
 };
 
@@ -50,7 +50,7 @@ const JAW_STRETCH: f32 = 0.42;
 ///
 /// # Errors
 /// Names the file and the array that is missing, malformed, or of another shape.
-pub(crate) fn load(path: &Path, with_teeth: bool) -> Result<HeadModel, HeadError> {
+pub(crate) fn load(path: &Path, with_teeth: bool, look: Look) -> Result<HeadModel, HeadError> {
     let mut source = Source::open(path)?;
     let mut template = vectors(&mut source, "v_template")?;
     let count = template.len();
@@ -105,7 +105,7 @@ pub(crate) fn load(path: &Path, with_teeth: bool) -> Result<HeadModel, HeadError
         return Ok(model);
     }
     let known: Vec<u8> = model.action_units.iter().map(|unit| unit.number).collect();
-    model.action_units.extend(fitted_units(&model, &known));
+    model.action_units.extend(fitted_units(&model, &known, look));
     model.action_units.sort_by_key(|unit| unit.number);
     Ok(model)
 }

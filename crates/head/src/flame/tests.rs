@@ -43,7 +43,7 @@ fn vertices_and_landmarks_equal_flames_equations_whatever_wrote_the_file() {
     for name in
         ["python2.pkl", "python2-text.pkl", "python3-protocol2.pkl", "python3-protocol5.pkl", "arrays.npz"]
     {
-        let model = load(&data(name), false).unwrap();
+        let model = load(&data(name), false, Look::default()).unwrap();
         assert_eq!((model.identities.len(), model.expressions.len()), (300, 3), "{name}");
         for (parameters, timestep) in [(&json, 0), (&npz, 1)] {
             parameters.check(&model).unwrap();
@@ -62,7 +62,7 @@ fn vertices_and_landmarks_equal_flames_equations_whatever_wrote_the_file() {
 
 #[test]
 fn masks_and_joints_have_their_places() {
-    let model = load(&data("python2.pkl"), false).unwrap();
+    let model = load(&data("python2.pkl"), false, Look::default()).unwrap();
     assert_eq!(model.vertex_groups["lips"], [1, 3]);
     assert_eq!(model.vertex_groups["right_eyeball"], [6, 7]);
     assert_eq!(model.eyeballs, [vec![5], vec![6, 7]]);
@@ -108,8 +108,8 @@ fn large_model(folder: &Path) -> PathBuf {
 fn teeth_are_those_of_vhap() {
     let folder = tempfile::tempdir().unwrap();
     let path = large_model(folder.path());
-    let model = load(&path, true).unwrap();
-    let bare = load(&path, false).unwrap();
+    let model = load(&path, true, Look::default()).unwrap();
+    let bare = load(&path, false, Look::default()).unwrap();
     assert_eq!((bare.template.len(), model.template.len()), (5023, 5143));
     assert_eq!(model.triangles.len(), bare.triangles.len() + 168);
     assert_eq!(model.template[..5023], bare.template);
@@ -188,7 +188,7 @@ fn teeth_are_those_of_vhap() {
 
 #[test]
 fn errors_name_the_file_and_what_is_wrong() {
-    let error = |path: &Path, teeth: bool| load(path, teeth).unwrap_err().to_string();
+    let error = |path: &Path, teeth: bool| load(path, teeth, Look::default()).unwrap_err().to_string();
     let small = error(&data("python2.pkl"), true);
     assert!(small.contains("python2.pkl: 8 vertices") && small.contains("5023"), "{small}");
     let other = error(&data("landmark_embedding_with_eyes.npy"), false);
@@ -378,18 +378,18 @@ fn groups_are_those_of_vhap() {
 fn texture_coordinates_are_those_of_the_mesh_beside_it_and_of_vhaps_teeth() {
     let folder = tempfile::tempdir().unwrap();
     let path = large_model(folder.path());
-    assert_eq!(load(&path, true).unwrap().texture, None);
+    assert_eq!(load(&path, true, Look::default()).unwrap().texture, None);
     let write = |vertices: usize, faces: &str| {
         let vertices: String = (0..vertices).map(|v| format!("v {} 0 1\n", v as i32 % 3 - 1)).collect();
         let text = format!("{vertices}vt 0.1 0.2\nvt 0.3 0.4\nvt 0.5 0.6\nvt 0.7 0.8\n{faces}");
         std::fs::write(folder.path().join(TEMPLATE), text).unwrap();
     };
     write(5023, "f 2/1 3/2 1/4\n");
-    let bare = load(&path, false).unwrap();
+    let bare = load(&path, false, Look::default()).unwrap();
     let map = bare.texture.unwrap();
     assert_eq!((map.points.len(), &map.triangles[..]), (4, &[[3, 0, 1]][..]));
     assert_eq!(bare.vertex_groups["left_half"][..3], [1, 2, 4]);
-    let model = load(&path, true).unwrap();
+    let model = load(&path, true, Look::default()).unwrap();
     model.validate().unwrap();
     let map = model.texture.unwrap();
     assert_eq!((map.points.len(), map.triangles.len()), (124, 169));
@@ -412,11 +412,11 @@ fn texture_coordinates_are_those_of_the_mesh_beside_it_and_of_vhaps_teeth() {
     assert!(model.vertex_groups["left_half"].is_sorted());
 
     write(5022, "f 2/1 3/2 1/4\n");
-    let short = load(&path, false).unwrap_err().to_string();
+    let short = load(&path, false, Look::default()).unwrap_err().to_string();
     assert!(short.contains("head_template_mesh.obj: 5022 vertices"), "{short}");
     write(5023, "f 2/1 3/2 4/4\n");
-    let other = load(&path, false).unwrap_err().to_string();
+    let other = load(&path, false, Look::default()).unwrap_err().to_string();
     assert!(other.contains("none with the vertices 1, 2 and 3"), "{other}");
     write(5023, "f 2 3 1\n");
-    assert_eq!(load(&path, false).unwrap().texture, None);
+    assert_eq!(load(&path, false, Look::default()).unwrap().texture, None);
 }

@@ -20,7 +20,7 @@ use crate::regions::divide_skin;
 use crate::skeleton_names::roles;
 use crate::unit_fit::fitted_units;
 use crate::unit_table::{UNITS_NAME, read_units};
-use crate::{HeadModel, Joint, JointRole, Offsets, Region, Shape, Skinning, TextureMap};
+use crate::{HeadModel, Joint, JointRole, Look, Offsets, Region, Shape, Skinning, TextureMap};
 
 /// Landmarks beside the model: 68 rows of three vertices and their weights. Vertices count through the meshes in the order of the scene.
 pub(crate) const LANDMARKS: &str = "landmarks_68.txt";
@@ -64,7 +64,7 @@ type Posed = Rc<[Option<(u32, DMat4)>]>;
 ///
 /// # Errors
 /// Names the file and the part that is missing or malformed.
-pub(crate) fn load(path: &Path) -> Result<HeadModel, HeadError> {
+pub(crate) fn load(path: &Path, look: Look) -> Result<HeadModel, HeadError> {
     let mut model = rigged(&Document::open(path, FileKind::Mesh)?, path)?;
     let landmarks = path.with_file_name(LANDMARKS);
     if landmarks.exists() {
@@ -77,7 +77,7 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, HeadError> {
     if let Some(units) = read_units(&path.with_file_name(UNITS_NAME), &model)? {
         model.action_units = units;
     } else if model.action_units.is_empty() {
-        model.action_units = fitted_units(&model, &[]);
+        model.action_units = fitted_units(&model, &[], look);
     }
     Ok(model)
 }

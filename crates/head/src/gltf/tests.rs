@@ -112,7 +112,7 @@ fn read(name: &str, bytes: &[u8]) -> Result<HeadModel, String> {
     let folder = tempfile::tempdir().unwrap();
     let path: PathBuf = folder.path().join(name);
     std::fs::write(&path, bytes).unwrap();
-    load(&path).map_err(|error| error.to_string())
+    load(&path, Look::default()).map_err(|error| error.to_string())
 }
 
 /// The global transforms of Armature, Head, Jaw and LeftEye.
@@ -183,7 +183,7 @@ fn documents_with_files_or_data_beside_them_are_read() {
     std::fs::write(folder.path().join("head data.bin"), &binary).unwrap();
     json["buffers"][0]["uri"] = "head%20data.bin".into();
     std::fs::write(&path, json.to_string()).unwrap();
-    assert_eq!(load(&path).unwrap().template, whole.template);
+    assert_eq!(load(&path, Look::default()).unwrap().template, whole.template);
     for uri in ["../head.bin", "/etc/passwd", "http://a/b", "data:,x", "data:;base64,!", ""] {
         json["buffers"][0]["uri"] = uri.into();
         let error = read("head.gltf", json.to_string().as_bytes()).unwrap_err();
@@ -197,7 +197,7 @@ fn landmarks_beside_the_file_are_read() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("head.glb"), glb(&json, &binary)).unwrap();
     std::fs::write(folder.path().join(COMPANIONS[0]), "3 0.25 0 0.5 2 0.25\n".repeat(68)).unwrap();
-    let model = load(&folder.path().join("head.glb")).unwrap();
+    let model = load(&folder.path().join("head.glb"), Look::default()).unwrap();
     let place = model.landmarks_on(&model.template).last().unwrap();
     let t = &model.template;
     assert!(place.distance(t[3] * 0.25 + t[0] * 0.5 + t[2] * 0.25) < 1e-6 && model.landmarks.len() == 68);

@@ -23,7 +23,7 @@ const SIZE: f64 = 0.4;
 #[test]
 fn vertices_and_landmarks_equal_gnms_equations() {
     let expected: Expected = serde_json::from_slice(&std::fs::read(data("expected.json")).unwrap()).unwrap();
-    let model = load(&data("gnm_head.npz")).unwrap();
+    let model = load(&data("gnm_head.npz"), Look::default()).unwrap();
     let parameters = HeadParameters::read(&data("parameters.json")).unwrap();
     parameters.check(&model).unwrap();
     let mut vertices = Vec::new();
@@ -40,7 +40,7 @@ fn vertices_and_landmarks_equal_gnms_equations() {
 
 #[test]
 fn names_groups_and_roles_are_read() {
-    let model = load(&data("gnm_head.npz")).unwrap();
+    let model = load(&data("gnm_head.npz"), Look::default()).unwrap();
     let roles: Vec<Option<JointRole>> = model.joints.iter().map(|joint| joint.role).collect();
     let expected = [JointRole::Root, JointRole::Neck, JointRole::LeftEye, JointRole::RightEye];
     assert_eq!(roles, expected.map(Some));
@@ -69,11 +69,11 @@ fn errors_name_the_array_or_the_line() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("gnm_head.npz");
     std::fs::copy(data("gnm_head.npz"), &path).unwrap();
-    assert!(load(&path).unwrap().landmarks.is_empty(), "landmarks are optional");
+    assert!(load(&path, Look::default()).unwrap().landmarks.is_empty(), "landmarks are optional");
     let rows = std::fs::read_to_string(data("head_sparse_68.txt")).unwrap();
     let error = |text: &str| {
         std::fs::write(folder.path().join("head_sparse_68.txt"), text).unwrap();
-        load(&path).unwrap_err().to_string()
+        load(&path, Look::default()).unwrap_err().to_string()
     };
     assert!(error("1 0.5 2 0.5").contains("head_sparse_68.txt:1: expected three vertices"));
     let beyond = error("28 1 0 0 1 0");
@@ -81,6 +81,6 @@ fn errors_name_the_array_or_the_line() {
     assert!(error("1 0.9 0 0.9 1 0").contains(":1:"));
     assert!(error("1 nan 0 1 1 0").contains(":1:"));
     assert!(error(rows.split_at(rows.len() / 2).0.rsplit_once('\n').unwrap().0).contains("68 rows"));
-    let flame = load(Path::new("tests/data/flame/arrays.npz")).unwrap_err().to_string();
+    let flame = load(Path::new("tests/data/flame/arrays.npz"), Look::default()).unwrap_err().to_string();
     assert!(flame.contains("one called `template_vertex_positions`"), "{flame}");
 }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::surface::Surface;
 use super::warp::Warp;
-use crate::{HeadModel, HeadPose, Region, Side};
+use crate::{HeadModel, HeadPose, Look, Region, Side};
 
 /// Landmarks that correspond between heads.
 const LANDMARKS: usize = 68;
@@ -42,13 +42,13 @@ pub(super) struct CarriedUnit {
 }
 
 impl Carried {
-    /// The units of the average built-in head on `model`; `None` for a model without landmarks, or one whose face is nowhere near.
+    /// The units of the average built-in head of a look on `model`; `None` for a model without landmarks, or one whose face is nowhere near.
     ///
     /// The 68 landmarks give a smooth map of the built-in head's space onto the model's. A point moves as the map moves it: from where
     /// the map puts the neutral point to where it puts the displaced one. A vertex of the model's skin takes the displacement of
     /// the nearest point of the mapped surface, and counts the less the further away that is.
-    pub(super) fn onto(model: &HeadModel) -> Option<Self> {
-        let reference = HeadModel::sculpted_average();
+    pub(super) fn onto(model: &HeadModel, look: Look) -> Option<Self> {
+        let reference = HeadModel::sculpted_average(look);
         let (there, here) = (eye_distance(&reference)?, eye_distance(model)?);
         let neutral = vertices(model, &HeadPose::default());
         let rest = vertices(&reference, &HeadPose::default());

@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use self::carry::{Carried, CarriedUnit, landmarks};
-use crate::{ActionUnit, HeadModel, HeadPose, Side};
+use crate::{ActionUnit, HeadModel, HeadPose, Look, Side};
 use srflow_core::dense::{self, dot};
 
 /// Deviation of what an expression need not explain at one landmark, metres, against weights of deviation 1: components are scaled
@@ -53,8 +53,8 @@ pub struct Left {
 
 /// Compares the action units of `model` with those of the average built-in head, which are carried onto its neutral surface by a smooth
 /// map between the 68 landmarks. Empty for a model without landmarks.
-pub fn unit_qualities(model: &HeadModel) -> Vec<UnitQuality> {
-    let Some(carried) = Carried::onto(model) else { return Vec::new() };
+pub fn unit_qualities(model: &HeadModel, look: Look) -> Vec<UnitQuality> {
+    let Some(carried) = Carried::onto(model, look) else { return Vec::new() };
     let shaped = model.shaped(&[]);
     let vertices = |pose: &HeadPose| {
         let mut vertices = Vec::new();
@@ -85,11 +85,11 @@ pub fn unit_qualities(model: &HeadModel) -> Vec<UnitQuality> {
 /// |w|^2. Weights of expressions that are not components are from 0 to 1.
 ///
 /// A unit of which more than 80 % would remain is left out. The result is the same for any number of threads.
-pub(crate) fn fitted_units(model: &HeadModel, known: &[u8]) -> Vec<ActionUnit> {
+pub(crate) fn fitted_units(model: &HeadModel, known: &[u8], look: Look) -> Vec<ActionUnit> {
     if model.expressions.is_empty() || model.expressions.len() > MOST_EXPRESSIONS {
         return Vec::new();
     }
-    let Some(carried) = Carried::onto(model) else { return Vec::new() };
+    let Some(carried) = Carried::onto(model, look) else { return Vec::new() };
     let Some(basis) = Basis::new(model, &carried) else { return Vec::new() };
     let fit = |unit: &CarriedUnit| {
         let (weights, left) = basis.fit(&carried.row(&unit.surface, &unit.landmarks));

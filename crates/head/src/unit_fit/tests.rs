@@ -33,7 +33,7 @@ fn mixed(model: HeadModel) -> HeadModel {
 }
 
 fn left(model: &HeadModel) -> Vec<(u8, Side, Left)> {
-    let qualities = unit_qualities(model).into_iter();
+    let qualities = unit_qualities(model, Look::default()).into_iter();
     qualities.filter_map(|unit| Some((unit.number, unit.side, unit.left?))).collect()
 }
 
@@ -43,13 +43,13 @@ fn mean(shares: impl Iterator<Item = f64> + Clone) -> f64 {
 
 #[test]
 fn units_are_found_in_expressions_without_meaning() {
-    let mut model = mixed(HeadModel::builtin_with(4, Look::First));
-    model.action_units = fitted_units(&model, &[26]);
+    let mut model = mixed(HeadModel::builtin(4));
+    model.action_units = fitted_units(&model, &[26], Look::default());
     assert!(model.action_units.iter().all(|unit| unit.number != 26), "a known unit is not fitted");
     model.validate().unwrap();
     let left = left(&model);
     // All of the reference but the known one; the face has other proportions, and its lids move on an arc.
-    assert_eq!(left.len(), HeadModel::builtin_with(4, Look::First).action_units.len() - 1);
+    assert_eq!(left.len(), HeadModel::builtin(4).action_units.len() - 1);
     let worst = left.iter().map(|(_, _, left)| left.skin).fold(0.0, f64::max);
     assert!(worst < 0.5, "{worst} of a motion of the skin remains");
     for (of, mean) in [
@@ -63,7 +63,7 @@ fn units_are_found_in_expressions_without_meaning() {
 #[test]
 fn both_halves_of_a_unit_of_components_add_up() {
     let mut model = mixed(HeadModel::builtin(4));
-    model.action_units = fitted_units(&model, &[]);
+    model.action_units = fitted_units(&model, &[], Look::default());
     let moved = |units: &[(u8, Side, f32)]| {
         let shaped = model.shaped(&[]);
         let mut vertices = Vec::new();
@@ -82,9 +82,9 @@ fn both_halves_of_a_unit_of_components_add_up() {
 
 #[test]
 fn shapes_with_a_meaning_are_found_by_weights_from_0_to_1() {
-    let own = HeadModel::builtin_with(4, Look::First);
+    let own = HeadModel::builtin(4);
     let model = HeadModel { action_units: Vec::new(), ..own.clone() };
-    let fitted = fitted_units(&model, &[26]);
+    let fitted = fitted_units(&model, &[26], Look::default());
     assert_eq!(fitted.len(), own.action_units.len() - 1);
     for unit in &fitted {
         assert!(unit.expressions.iter().all(|(_, weight)| (0.0..=1.0).contains(weight)), "{unit:?}");
@@ -98,7 +98,7 @@ fn shapes_with_a_meaning_are_found_by_weights_from_0_to_1() {
 
 #[test]
 fn a_head_carries_its_own_units_to_itself() {
-    let model = HeadModel::sculpted_average();
+    let model = HeadModel::sculpted_average(Look::default());
     for (number, side, left) in left(&model) {
         // Where two layers of skin are in one place, as at the closed lips, the other one may be found.
         assert!(left.landmarks < 1e-4 && left.skin < 0.05, "AU{number} {side:?}: {left:?}");
@@ -110,7 +110,7 @@ fn units_do_not_depend_on_the_number_of_threads() {
     let model = mixed(HeadModel::builtin(2));
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| fitted_units(&model, &[]))
+        pool.install(|| fitted_units(&model, &[], Look::default()))
     };
     assert_eq!(with(1), with(3));
 }
@@ -119,12 +119,21 @@ fn units_do_not_depend_on_the_number_of_threads() {
 fn heads_without_landmarks_or_expressions_have_no_units() {
     let model = HeadModel { action_units: Vec::new(), ..HeadModel::builtin(1) };
     let without = HeadModel { landmarks: Vec::new(), ..model.clone() };
-    assert!(fitted_units(&without, &[]).is_empty() && unit_qualities(&without).is_empty());
-    assert!(fitted_units(&HeadModel { expressions: Vec::new(), ..model.clone() }, &[]).is_empty());
+    assert!(
+        fitted_units(&without, &[], Look::default()).is_empty()
+            && unit_qualities(&without, Look::default()).is_empty()
+    );
+    assert!(
+        fitted_units(&HeadModel { expressions: Vec::new(), ..model.clone() }, &[], Look::default())
+            .is_empty()
+    );
     // A head without extent, and one that is far too large.
     for scale in [0.0, 1e9, f32::MAX] {
         let template = model.template.iter().map(|v| *v * scale).collect();
-        assert!(fitted_units(&HeadModel { template, ..model.clone() }, &[]).is_empty(), "{scale}");
+        assert!(
+            fitted_units(&HeadModel { template, ..model.clone() }, &[], Look::default()).is_empty(),
+            "{scale}"
+        );
     }
 }
 
@@ -187,7 +196,7 @@ fn units_are_found_in_ict_facekit() {
         return;
     }
     let own = ict::load(folder).unwrap();
-    let carried = Carried::onto(&own).unwrap();
+    let carried = Carried::onto(&own, Look::default()).unwrap();
     let shaped = own.shaped(&[]);
     let moved = |model: &HeadModel, unit: &CarriedUnit| -> Option<Vec<DVec3>> {
         let mut vertices = Vec::new();
@@ -199,9 +208,9 @@ fn units_are_found_in_ict_facekit() {
     for components in [true, false] {
         let mut model = HeadModel { action_units: Vec::new(), ..own.clone() };
         model.expressions_are_components = components;
-        model.action_units = fitted_units(&model, &[]);
+        model.action_units = fitted_units(&model, &[], Look::default());
         let (mut shares, mut against, mut cosines) = (Vec::new(), Vec::new(), Vec::new());
-        for (unit, quality) in carried.units.iter().zip(unit_qualities(&model)) {
+        for (unit, quality) in carried.units.iter().zip(unit_qualities(&model, Look::default())) {
             let Some(left) = quality.left else { continue };
             eprint!("AU{} {:?}: {:.2} {:.2}", unit.number, unit.side, left.landmarks, left.skin);
             shares.push(left);

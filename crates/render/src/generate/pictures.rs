@@ -34,6 +34,18 @@ pub fn write_depth(path: &Path, frame: &Frame, bytes: &mut Vec<u8>) -> Result<()
     write_grey(path, frame.depth.size(), png::BitDepth::Sixteen, bytes)
 }
 
+/// Writes how much brighter the head becomes, with 16 bits: 32768, and 128 times the change of the luma in levels of 255. In `frame` the
+/// colours are a half and half of the change, in front of a background of one half.
+pub fn write_shading_change(path: &Path, frame: &Frame, bytes: &mut Vec<u8>) -> Result<(), FileError> {
+    const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
+    bytes.clear();
+    bytes.extend(frame.color.iter().flat_map(|color| {
+        let change: f32 = color.iter().zip(LUMA).map(|(channel, share)| 2.0 * (channel - 0.5) * share).sum();
+        ((32_768.5 + 128.0 * 255.0 * change) as u16).to_be_bytes()
+    }));
+    write_grey(path, (frame.width, frame.height), png::BitDepth::Sixteen, bytes)
+}
+
 /// Writes the region map of the head that `alpha` is of: the label of the part with the largest weight inside of the mask, 0 elsewhere.
 pub fn write_regions(
     path: &Path,

@@ -64,6 +64,10 @@ pub struct Settings {
     #[arg(long)]
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub decompose: bool,
+    /// Also write how much brighter or darker each surface becomes: the part of the change that is no motion
+    #[arg(long)]
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub shading_change: bool,
     /// Also write depth
     #[arg(long)]
     pub depth: bool,
@@ -114,6 +118,7 @@ impl Default for Settings {
             flow_format: FlowFormat::Npz16,
             backward: false,
             decompose: false,
+            shading_change: false,
             depth: false,
             background: Background::Colour([255; 3]),
             motion: MotionSource::Curves,

@@ -16,7 +16,7 @@ use srflow_splat::{DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, R
 
 use super::background::{self, Background};
 use super::occlusion::{occlusion, surface_into};
-use super::pictures::{write_alpha, write_depth, write_regions};
+use super::pictures::{write_alpha, write_depth, write_regions, write_shading_change};
 use super::rig::Rig;
 use super::scene::{self, FrameState, Scene};
 use super::settings::Settings;
@@ -322,7 +322,10 @@ impl Worker {
         next: &FrameState,
     ) -> Result<(), RenderError> {
         let files = work.plan.manifest.files(work.dir, &scene.entry, pair);
-        let PairFiles { flow, flow_backward, occlusion: hidden_path, record, .. } = &files;
+        let PairFiles { flow, flow_backward, shading_change, occlusion: hidden_path, record, .. } = &files;
+        if let Some(path) = shading_change {
+            self.write_shading_change(work, scene, pair, state, path)?;
+        }
         self.write_frame(work, scene, pair, state)?;
         let format = work.plan.settings.flow_format;
         work.write(Stage::Flow, flow, |path| write_flow_as(path, &self.frame.flow, format))?;
@@ -345,6 +348,32 @@ impl Worker {
         // The record marks the pair as complete, so it comes last.
         let known = serde_json::to_string(&known).expect("numbers, text, lists and maps by text") + "\n";
         work.write(Stage::Records, record, |path| write_file(path, &known))
+    }
+
+    /// Writes how the colours change from a frame to the next, at the places of the first.
+    fn write_shading_change(
+        &mut self,
+        work: &Work,
+        scene: &Scene,
+        pair: u32,
+        state: &FrameState,
+        path: &Path,
+    ) -> Result<(), RenderError> {
+        self.moving.clone_from(&self.gaussians);
+        let coefficients = self.moving.sh.iter_mut().zip(&self.next_gaussians.sh);
+        for (value, next) in coefficients.flat_map(|(here, next)| here.iter_mut().zip(next)) {
+            *value = 0.5 * (next - *value);
+        }
+        let options = Options {
+            background: [0.5; 3],
+            outputs: Outputs { color: true, ..Outputs::NONE },
+            ..self.options
+        };
+        let Self { rasterizer, moving, backward, bytes, .. } = self;
+        work.clock
+            .time(Stage::Rasterize, || rasterizer.render(moving, &state.camera, None, &options, backward))
+            .map_err(|error| refused(scene, pair, error))?;
+        work.write(Stage::Planes, path, |path| write_shading_change(path, backward, bytes))
     }
 
     /// Writes the flow of the head and that of the expression, if the dataset has them.

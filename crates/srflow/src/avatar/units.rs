@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_avatar::HeadSource;
-use srflow_head::{Side, UnitQuality, unit_qualities, write_units};
+use srflow_head::{Look, Side, UnitQuality, unit_qualities, write_units};
 use srflow_report::{Column, Row, Table};
 
 use super::mesh::default_seed;
@@ -53,7 +53,7 @@ impl Job for UnitsJob {
             ensure_free([output], self.force)?;
         }
         let model = self.model.model(self.seed).with_context(|| format!("reading {}", self.model))?;
-        let qualities = unit_qualities(&model);
+        let qualities = unit_qualities(&model, Look::default());
         if let Some(output) = &self.output {
             write_units(output, &model, &qualities)?;
         }

@@ -43,6 +43,9 @@ pub struct RenderedConfig {
 /// Not the seed of datasets in files, so that those have other subjects unless they are asked for the same.
 const SEED: u64 = 1000;
 
+/// How rendered heads look, as after `srflow render --look`.
+const LOOK: u8 = 2;
+
 impl Default for ShapesConfig {
     fn default() -> Self {
         let settings = [("motion", json!([0.25, 32.0])), ("seed", json!(SEED))];
@@ -53,8 +56,12 @@ impl Default for ShapesConfig {
 impl Default for RenderedConfig {
     /// The preset `wild`.
     fn default() -> Self {
-        let settings =
-            [("background", json!("procedural")), ("motion", json!("mixed")), ("seed", json!(SEED))];
+        let settings = [
+            ("background", json!("procedural")),
+            ("look", json!(LOOK)),
+            ("motion", json!("mixed")),
+            ("seed", json!(SEED)),
+        ];
         Self { scenes: 200, frames: 48, size: None, settings: named(settings), recording: Recording::wild() }
     }
 }

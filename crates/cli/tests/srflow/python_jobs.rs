@@ -134,7 +134,7 @@ fn kind(argument: &Arg) -> String {
     if matches!(argument.get_action(), ArgAction::SetTrue) {
         return "bool".to_owned();
     }
-    let parsers: [(ValueParser, &str); 8] = [
+    let parsers: [(ValueParser, &str); 9] = [
         (value_parser!(u8).into(), "int"),
         (value_parser!(u16).into(), "int"),
         (value_parser!(u32).into(), "int"),

@@ -5,7 +5,7 @@ use super::half::{Mark, Part};
 use super::identity::Plan;
 use super::skin::brow_height;
 use super::{eyes, face, mouth};
-use crate::Side;
+use crate::{Look, Side};
 
 /// Action units that are expressions of the built-in head, and whether each half of the face has a separate one.
 ///
@@ -220,8 +220,9 @@ impl<'a> Place<'a> {
             }
             25 => {
                 let open = middle * bell(over / 24.0);
+                let upper = if plan.look == Look::First { 1.4 } else { 2.4 };
                 if self.on_upper_lip() {
-                    Vec3::new(0.0, 1.4, 0.2) * open
+                    Vec3::new(0.0, upper, 0.2) * open
                 } else {
                     Vec3::new(0.0, -4.2, -0.2) * open
                 }

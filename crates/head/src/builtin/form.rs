@@ -17,6 +17,8 @@ const LEAST: (f32, f32) = (0.1, 0.5);
 
 /// How much farther behind the lips the teeth are than as sculpted, millimetres.
 const TEETH_BACK: f32 = 1.6;
+/// And how much lower, so that the upper ones show where lips part.
+const TEETH_DOWN: f32 = 1.2;
 
 /// Number of the ways in which faces differ.
 pub(super) const MODES: usize = 10;
@@ -58,8 +60,10 @@ impl Form {
         }
         // Behind lips that a smile draws back.
         for (offset, mark) in form.average.iter_mut().zip(&half.marks) {
-            if matches!(mark.part, Part::UpperTeeth | Part::LowerTeeth | Part::Tongue) {
-                offset.z -= TEETH_BACK;
+            match mark.part {
+                Part::UpperTeeth => *offset -= Vec3::new(0.0, TEETH_DOWN, TEETH_BACK),
+                Part::LowerTeeth | Part::Tongue => *offset -= Vec3::new(0.0, 1.5 * TEETH_DOWN, TEETH_BACK),
+                _ => {}
             }
         }
         form

@@ -126,14 +126,21 @@ impl Traits {
     fn with_form(self, draw: impl Fn(&str) -> f32) -> Self {
         const SCULPTED: f32 = 0.5;
         let Self { eye_opening, eye_width, eye_tilt, lid_crease, upper_lip, lower_lip, .. } = self;
+        let Self { nose_length, nose_width, nose_bridge, nose_hump, nose_tip, nose_turn, .. } = self;
         let Self { ear_size, ear_protrusion, neck_girth, head_length, crown_height, .. } = self;
         let form: [f32; MODES] = std::array::from_fn(|mode| 0.85 * draw(&format!("head: form {}", mode + 1)));
         let [form_1, form_2, form_3, form_4, form_5, form_6, form_7, form_8, form_9, form_10] = form;
         Self {
-            eye_opening,
+            nose_length: 0.8 * nose_length,
+            nose_width: 0.8 * nose_width,
+            nose_bridge,
+            nose_hump,
+            nose_tip: 0.8 * nose_tip,
+            nose_turn,
+            eye_opening: 1.2 * eye_opening,
             eye_width,
-            eye_tilt,
-            lid_crease,
+            eye_tilt: 1.4 * eye_tilt,
+            lid_crease: 1.3 * lid_crease,
             upper_lip,
             lower_lip,
             ear_size,

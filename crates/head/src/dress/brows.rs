@@ -28,27 +28,55 @@ pub(super) fn dress_brows(dressing: &mut Dressing) {
         spine[4].y += 1.5 * MM * size;
         let middle = spine[2];
         let skin = near_triangles(dressing.surface, &[Region::Brow, Region::Skin], middle, 0.042 * size);
-        for _ in 0..if dressing.look == Look::First { HAIRS } else { FINE_HAIRS } {
-            grow(dressing, &spine, &skin, &mut stream);
+        let shape = Shape::of(dressing);
+        spine.iter_mut().zip(shape.raised).for_each(|(p, raised)| p.y += raised * MM * size);
+        for _ in 0..shape.hairs {
+            grow(dressing, &spine, &skin, &shape, &mut stream);
         }
     }
 }
 
-fn grow(dressing: &mut Dressing, spine: &[Vec3; 5], skin: &[u32], stream: &mut Stream) {
+/// How a person's brows differ from the landmarks.
+struct Shape {
+    hairs: usize,
+    /// How much higher they are along the brow, millimetres.
+    raised: [f32; 5],
+    thickness: f32,
+    length: f32,
+}
+
+impl Shape {
+    fn of(dressing: &Dressing) -> Self {
+        if dressing.look == Look::First {
+            return Self { hairs: HAIRS, raised: [0.0; 5], thickness: 1.0, length: 1.0 };
+        }
+        let mut stream = dressing.stream("brow shape");
+        let mut spread = |reach: f32| stream.normal().clamp(-2.0, 2.0) * reach;
+        let (height, arch, tilt) = (spread(0.9), spread(0.8), spread(0.7));
+        let (thickness, length, hairs) =
+            (libm::expf(spread(0.22)), libm::expf(spread(0.12)), libm::expf(spread(0.22)));
+        let raised = [height - tilt, height, height + arch, height + 0.7 * arch + 0.5 * tilt, height + tilt];
+        Self { hairs: (FINE_HAIRS as f32 * hairs) as usize, raised, thickness, length }
+    }
+}
+
+fn grow(dressing: &mut Dressing, spine: &[Vec3; 5], skin: &[u32], shape: &Shape, stream: &mut Stream) {
     let surface = dressing.surface;
     let size = surface.size;
     // Thin at the inner end; the tail stops before the last landmark.
     let t = 0.93 * (stream.unit() * 0.85 + stream.unit() * 0.15);
     // Across the brow, denser at its centre line.
     let across = (stream.unit() + stream.unit() - 1.0) * 1.1;
-    let half_height =
-        (0.9 + 2.9 * smoothstep((t + 0.12) / 0.35) * (1.0 - 0.95 * smoothstep((t - 0.3) / 0.7))) * MM;
+    let half_height = (0.9
+        + 2.9 * smoothstep((t + 0.12) / 0.35) * (1.0 - 0.95 * smoothstep((t - 0.3) / 0.7)))
+        * shape.thickness
+        * MM;
     let on_spine = catmull_rom(spine, t);
     let Some(root) = nearest_point(surface, skin, on_spine + Vec3::Y * (across * half_height * size)) else {
         return;
     };
     let direction = direction(spine, t, across, &root, stream);
-    let length = (8.5 - 4.0 * t) * stream.uniform(0.7, 1.15) * MM * size;
+    let length = (8.5 - 4.0 * t) * shape.length * stream.uniform(0.7, 1.15) * MM * size;
     let points: [Vec3; 4] = std::array::from_fn(|i| {
         let s = i as f32 / 3.0;
         // Up from the skin, then back along it and a little down.

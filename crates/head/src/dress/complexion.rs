@@ -155,7 +155,12 @@ impl<'a> Complexion<'a> {
             if x < corner.x { nose } else { nose - 9.0 * MM + (places.ear.y - nose + 9.0 * MM) * outward };
         let throat = smoothstep((p.y - places.chin.y + 38.0 * MM) / (25.0 * MM));
         let under_lip = 1.0 - 0.6 * spot(p, Vec3::new(0.0, corner.y - 14.0 * MM, corner.z + 10.0 * MM), 6.0);
-        smoothstep((border - p.y) / (9.0 * MM)) * throat * under_lip
+        let (border, width) = match self.look {
+            Look::First => (border, 9.0),
+            // It thins out in patches.
+            Look::Second => (border + (5.0 + 7.0 * self.relief.at(p * 60.0)) * MM, 21.0),
+        };
+        smoothstep((border - p.y) / (width * MM)) * throat * under_lip
     }
 
     /// Susceptibility to freckles.
@@ -248,9 +253,9 @@ impl<'a> Complexion<'a> {
         albedo *= Vec3::ONE.lerp(Vec3::new(1.02, 0.80, 0.77), flush * (1.0 - 0.55 * a.melanin));
         if let Some(nostrils) = places.nostrils {
             // Little light comes back out of them.
-            let down = smoothstep((0.15 - point.normal.y) / 0.55);
-            let inside: f32 = nostrils.iter().map(|&n| spot(p, n, 2.6)).sum();
-            albedo *= 1.0 - 0.86 * (1.5 * inside * down).min(1.0);
+            let down = smoothstep((0.35 - point.normal.y) / 0.6);
+            let inside: f32 = nostrils.iter().map(|&n| spot(p, n, 3.0)).sum();
+            albedo *= 1.0 - 0.92 * (1.9 * inside * down).min(1.0);
         }
         let bags: f32 = places.bags.iter().map(|&b| spot(p, b, 7.5)).sum();
         let lids: f32 = places.eyes.iter().map(|&e| spot(p, e + Vec3::Z * (12.0 * MM), 10.0)).sum();

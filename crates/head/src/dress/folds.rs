@@ -22,8 +22,10 @@ struct Fold {
     width: f32,
     /// Height of the bulge relative to the depth.
     bulge: f32,
-    /// Strength at rest in an old face.
-    at_rest: f32,
+    /// Strength at rest in a young and in an old face.
+    at_rest: [f32; 2],
+    /// Shares of the line over which it fades in and out.
+    fades: [f32; 2],
     /// Action units that make it, with its strength at their full intensity.
     units: &'static [(u8, f32)],
 }
@@ -36,14 +38,35 @@ const NASOLABIAL: &[Place] = &[
     (35, [7.5, 6.5, 0.0]),
 ];
 
-static FOLDS: [Fold; 20] = [
+static FOLDS: [Fold; 22] = [
+    // Around the wing of the nose.
+    Fold {
+        line: &[(35, [3.0, -2.5, 0.0]), (35, [5.2, 1.0, 0.0]), (35, [5.4, 5.0, 0.0]), (35, [2.5, 8.5, 0.0])],
+        depth: [0.8, 0.8],
+        width: 1.5,
+        bulge: 0.0,
+        at_rest: [0.8, 0.9],
+        fades: [0.2, 0.35],
+        units: &[(9, 0.4), (12, 0.3)],
+    },
+    // The side of the philtrum.
+    Fold {
+        line: &[(51, [1.6, 2.5, 0.0]), (51, [1.4, 7.0, 0.0]), (33, [1.2, -1.5, 0.0])],
+        depth: [0.22, 0.22],
+        width: 1.5,
+        bulge: 0.5,
+        at_rest: [0.8, 0.6],
+        fades: [0.25, 0.3],
+        units: &[],
+    },
     // From the wing of the nose to beside the corner of the mouth; the cheek bulges over it.
     Fold {
         line: NASOLABIAL,
-        depth: [0.75, 1.25],
-        width: 2.1,
-        bulge: 0.55,
-        at_rest: 0.3,
+        depth: [0.85, 1.3],
+        width: 2.0,
+        bulge: 0.3,
+        at_rest: [0.0, 0.3],
+        fades: [0.4, 0.06],
         units: &[(12, 1.0), (10, 0.75), (9, 0.5), (6, 0.2), (14, 0.3), (20, 0.3)],
     },
     // Crow's feet.
@@ -52,7 +75,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.10, 0.42],
         width: 0.9,
         bulge: 0.4,
-        at_rest: 0.25,
+        at_rest: [0.0, 0.25],
+        fades: [0.12, 0.5],
         units: &[(6, 1.0), (12, 0.2)],
     },
     Fold {
@@ -60,7 +84,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.12, 0.42],
         width: 0.9,
         bulge: 0.4,
-        at_rest: 0.25,
+        at_rest: [0.0, 0.25],
+        fades: [0.12, 0.5],
         units: &[(6, 1.0), (12, 0.2)],
     },
     Fold {
@@ -68,7 +93,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.10, 0.42],
         width: 0.9,
         bulge: 0.4,
-        at_rest: 0.2,
+        at_rest: [0.0, 0.2],
+        fades: [0.12, 0.5],
         units: &[(6, 1.0), (12, 0.2)],
     },
     // Under the lower lid, which bulges.
@@ -82,7 +108,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.30, 0.45],
         width: 1.2,
         bulge: 0.7,
-        at_rest: 0.3,
+        at_rest: [0.0, 0.3],
+        fades: [0.28, 0.28],
         units: &[(6, 0.9), (7, 0.6), (12, 0.25)],
     },
     // Furrows of the cheek below it.
@@ -91,7 +118,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.10, 0.30],
         width: 1.3,
         bulge: 0.4,
-        at_rest: 0.1,
+        at_rest: [0.0, 0.1],
+        fades: [0.28, 0.28],
         units: &[(6, 1.0)],
     },
     // Between the brows.
@@ -105,7 +133,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.65, 1.1],
         width: 1.5,
         bulge: 0.5,
-        at_rest: 0.18,
+        at_rest: [0.0, 0.18],
+        fades: [0.28, 0.28],
         units: &[(4, 1.0), (9, 0.4)],
     },
     Fold {
@@ -113,7 +142,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.15, 0.4],
         width: 1.2,
         bulge: 0.3,
-        at_rest: 0.05,
+        at_rest: [0.0, 0.05],
+        fades: [0.28, 0.28],
         units: &[(4, 1.0)],
     },
     // Across the root of the nose.
@@ -122,7 +152,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.35, 0.6],
         width: 1.3,
         bulge: 0.4,
-        at_rest: 0.12,
+        at_rest: [0.0, 0.12],
+        fades: [0.28, 0.28],
         units: &[(9, 0.8), (4, 0.5)],
     },
     // Lines on the side of the nose.
@@ -131,7 +162,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.35, 0.5],
         width: 1.0,
         bulge: 0.5,
-        at_rest: 0.0,
+        at_rest: [0.0, 0.0],
+        fades: [0.28, 0.28],
         units: &[(9, 1.0)],
     },
     Fold {
@@ -139,7 +171,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.35, 0.5],
         width: 1.0,
         bulge: 0.5,
-        at_rest: 0.0,
+        at_rest: [0.0, 0.0],
+        fades: [0.28, 0.28],
         units: &[(9, 1.0)],
     },
     // Across the forehead: the middle by raising the inner brow, the sides by raising the outer.
@@ -153,7 +186,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.25, 0.6],
         width: 1.7,
         bulge: 0.5,
-        at_rest: 0.2,
+        at_rest: [0.0, 0.2],
+        fades: [0.28, 0.28],
         units: &[(1, 0.8), (2, 0.5)],
     },
     Fold {
@@ -166,7 +200,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.28, 0.65],
         width: 1.7,
         bulge: 0.5,
-        at_rest: 0.25,
+        at_rest: [0.0, 0.25],
+        fades: [0.28, 0.28],
         units: &[(1, 0.8), (2, 0.5)],
     },
     Fold {
@@ -179,7 +214,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.22, 0.6],
         width: 1.7,
         bulge: 0.5,
-        at_rest: 0.2,
+        at_rest: [0.0, 0.2],
+        fades: [0.28, 0.28],
         units: &[(1, 0.7), (2, 0.5)],
     },
     Fold {
@@ -192,7 +228,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.22, 0.55],
         width: 1.6,
         bulge: 0.5,
-        at_rest: 0.1,
+        at_rest: [0.0, 0.1],
+        fades: [0.28, 0.28],
         units: &[(2, 1.0)],
     },
     Fold {
@@ -200,7 +237,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.20, 0.5],
         width: 1.6,
         bulge: 0.5,
-        at_rest: 0.1,
+        at_rest: [0.0, 0.1],
+        fades: [0.28, 0.28],
         units: &[(2, 1.0)],
     },
     // The dimple.
@@ -209,7 +247,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.6, 0.8],
         width: 1.6,
         bulge: 0.45,
-        at_rest: 0.0,
+        at_rest: [0.0, 0.0],
+        fades: [0.28, 0.28],
         units: &[(14, 1.0), (12, 0.25)],
     },
     // From the corner of the mouth down.
@@ -218,7 +257,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.35, 0.8],
         width: 1.8,
         bulge: 0.5,
-        at_rest: 0.25,
+        at_rest: [0.0, 0.25],
+        fades: [0.28, 0.28],
         units: &[(15, 1.0), (17, 0.25)],
     },
     // Between the lower lip and the chin.
@@ -227,7 +267,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.5, 0.7],
         width: 2.2,
         bulge: 0.3,
-        at_rest: 0.0,
+        at_rest: [0.0, 0.0],
+        fades: [0.28, 0.28],
         units: &[(17, 1.0), (24, 0.5), (23, 0.4), (15, 0.4)],
     },
     // Lines of the upper lip, which pressed lips fold.
@@ -236,7 +277,8 @@ static FOLDS: [Fold; 20] = [
         depth: [0.10, 0.35],
         width: 0.9,
         bulge: 0.3,
-        at_rest: 0.15,
+        at_rest: [0.0, 0.15],
+        fades: [0.28, 0.28],
         units: &[(23, 1.0), (24, 0.6)],
     },
 ];
@@ -268,7 +310,7 @@ struct Strength {
 impl Strengths {
     fn new(model: &HeadModel, age: f32) -> Self {
         let of = |side: Side, fold: &Fold| Strength {
-            at_rest: fold.at_rest * age * age,
+            at_rest: fold.at_rest[0] + (fold.at_rest[1] - fold.at_rest[0]) * age * age,
             units: fold
                 .units
                 .iter()
@@ -394,8 +436,8 @@ impl Line {
             })
             .min_by(|a, b| a.1.distance_squared(p).total_cmp(&b.1.distance_squared(p)))?;
         let share = at / (self.points.len() - 1) as f32;
-        // It fades out at both ends.
-        let fade = super::smoothstep((0.5 - (share - 0.5).abs()) / 0.28);
+        let [first, last] = fold.fades;
+        let fade = super::smoothstep(share / first) * super::smoothstep((1.0 - share) / last);
         let normal = self.normals[at as usize];
         let across = normal.cross(along).normalize_or_zero() * self.side;
         let mm = MM * size;

@@ -9,7 +9,7 @@ use super::noise::Noise;
 use super::strand::{Strand, add_strand};
 use super::surface::{Buckets, Surface, SurfacePoint};
 use super::{Dressing, smoothstep};
-use crate::{JointRole, Region};
+use crate::{JointRole, Look, Region};
 
 const MM: f32 = 1e-3;
 
@@ -138,6 +138,8 @@ struct Growth<'a> {
     body: Body<'a>,
     /// Triangles that no expression moves.
     anchors: Vec<u32>,
+    /// Whether locks part and hairs stray.
+    loose: bool,
 }
 
 impl<'a> Growth<'a> {
@@ -158,6 +160,7 @@ impl<'a> Growth<'a> {
             brow_height: landmarks[19].y.max(landmarks[24].y),
             body: Body::new(surface),
             anchors: anchors(surface),
+            loose: dressing.look >= Look::Second,
         }
     }
 
@@ -192,13 +195,18 @@ impl<'a> Growth<'a> {
         );
         // Short hair is cut around the ears.
         let trimmed = if self.cut.length[0] < 60.0 { 0.4 + 0.6 * near_ear } else { 1.0 };
-        let length = length * grown * trimmed * stream.uniform(0.72, 1.1) * MM * size;
+        let loose = self.loose && self.cut.segments > 1;
+        // Locks of a centimetre differ in length and direction, and single hairs stray.
+        let lock = if loose { self.noise.at(root.position * 85.0) } else { 0.0 };
+        let strays = loose && stream.unit() < 0.05;
+        let (least, most) = if loose { (0.55 + 0.25 * lock, 1.12 + 0.12 * lock) } else { (0.72, 1.1) };
+        let length = length * grown * trimmed * stream.uniform(least, most) * MM * size;
         let layer = stream.unit();
-        let points = self.path(root, length, layer, stream);
+        let points = self.path(root, length, if strays { 1.5 } else { layer }, lock, stream);
         let tone = stream.uniform(0.72, 1.28) * (1.0 + 0.22 * self.noise.at(root.position * 90.0));
         let albedo = dressing.appearance.hair * tone;
         // Hair below the surface layer is dark, and so are the roots.
-        let depth = 0.45 + 0.55 * layer;
+        let depth = 0.45 + 0.55 * layer.min(1.0);
         let seen = dressing.exposure(root);
         let exposure = Exposure {
             sky: (0.25 + 0.75 * seen.sky) * depth,
@@ -208,7 +216,7 @@ impl<'a> Growth<'a> {
         let root_shade = if self.cut.segments > 1 { 0.45 } else { 0.9 };
         let strand = Strand {
             points: &points,
-            width: self.cut.width * MM * size * stream.uniform(0.75, 1.2),
+            width: self.cut.width * MM * size * if strays { 0.35 } else { stream.uniform(0.75, 1.2) },
             taper: 0.5,
             opacity: if self.cut.segments > 1 { 0.88 } else { 0.75 },
             albedo: [albedo * root_shade, albedo * 1.12],
@@ -220,7 +228,14 @@ impl<'a> Growth<'a> {
     }
 
     /// The points of a strand from root to tip.
-    fn path(&self, root: &SurfacePoint, length: f32, layer: f32, stream: &mut Stream) -> Vec<Vec3> {
+    fn path(
+        &self,
+        root: &SurfacePoint,
+        length: f32,
+        layer: f32,
+        lock: f32,
+        stream: &mut Stream,
+    ) -> Vec<Vec3> {
         let size = self.surface.size;
         let segments = self.cut.segments;
         let step = length / segments as f32;
@@ -240,7 +255,8 @@ impl<'a> Growth<'a> {
             let weight = self.cut.gravity * smoothstep((s + 0.15) / 0.75);
             let wanted = self.combed(p) * (1.0 - 0.6 * smoothstep(weight)) - Vec3::Y * weight
                 + self.off_the_face(p)
-                + wave * self.cut.wave;
+                + wave * self.cut.wave
+                + direction.cross(root.normal) * (0.55 * lock);
             direction =
                 direction.lerp(wanted.normalize_or(direction), self.cut.obedience).normalize_or(direction);
             p += direction * step;

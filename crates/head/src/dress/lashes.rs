@@ -97,6 +97,7 @@ fn lash_line(dressing: &mut Dressing, lid: &Lid, skin: &[u32]) {
     let surface = dressing.surface;
     let size = surface.size;
     let curve = lid.landmarks.map(|i| surface.landmarks[i]);
+    let (width, opacity) = if dressing.look == Look::First { (0.17, 0.42) } else { (0.12, 0.22) };
     const STEPS: usize = 70;
     for step in 0..STEPS {
         let t = step as f32 / STEPS as f32 * 0.93;
@@ -107,9 +108,9 @@ fn lash_line(dressing: &mut Dressing, lid: &Lid, skin: &[u32]) {
         let dark = dressing.appearance.brows.min(Vec3::splat(0.03)) * 0.5;
         let strand = Strand {
             points: &raised,
-            width: 0.17 * MM * size,
+            width: width * MM * size,
             taper: 1.0,
-            opacity: 0.42,
+            opacity,
             albedo: [dark, dark],
             gloss: 0.0,
             outward: Vec3::ZERO,

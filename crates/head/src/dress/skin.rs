@@ -8,7 +8,7 @@ use super::complexion::Complexion;
 use super::specks::{self, Specks};
 use super::strand::{Strand, add_strand};
 use super::surface::SurfacePoint;
-use crate::Region;
+use crate::{Look, Region};
 
 const MM: f32 = 1e-3;
 
@@ -81,13 +81,14 @@ fn stubble(dressing: &mut Dressing, complexion: &Complexion) {
         let jitter = Vec3::new(stream.normal(), stream.normal(), stream.normal()) * 0.25;
         let direction = (down + root.normal * 0.7 + jitter).normalize_or(root.normal);
         let length = (0.5 + 1.3 * grown) * stream.uniform(0.6, 1.2) * MM * size;
+        let (width, opacity) = if dressing.look == Look::First { (0.055, 0.62) } else { (0.042, 0.42) };
         let base = root.position + root.normal * (0.08 * MM * size);
         let albedo = dressing.appearance.brows * stream.uniform(0.7, 1.6);
         let strand = Strand {
             points: &[base, base + direction * length],
-            width: 0.055 * MM * size,
+            width: width * MM * size,
             taper: 1.0,
-            opacity: 0.62,
+            opacity,
             albedo: [albedo, albedo],
             gloss: 0.1,
             outward: Vec3::ZERO,

@@ -130,7 +130,7 @@ fn where_the_avatar_does_not_show_the_head_pixels_are_missing() {
     let beside = Camera { cx: camera.cx + 8.0, ..camera };
     let error = compared([&beside; 2], [&poses[0], &poses[1]]);
     let LabelError { head, surplus, .. } = error;
-    assert!(head.missing > 200 && surplus > 200 && head.missing_mean.unwrap() > 0.0, "{error:?}");
+    assert!(head.missing > 200 && surplus > 100 && head.missing_mean.unwrap() > 0.0, "{error:?}");
     assert_eq!(error.parts()[1..].iter().map(|(_, part)| part.missing).sum::<u64>(), head.missing);
     assert!(mean(&head) < head.errors.unwrap().true_length, "the flow is similar, only elsewhere");
 }

@@ -104,6 +104,8 @@ impl Avatar {
         for (triangle, splat) in splats {
             gaussians.bind(triangle, &frames[triangle as usize], &splat);
         }
+        // Hair and lashes thinner than a pixel must not become as wide and as dark as one.
+        gaussians.local_mut().antialiased = look >= Look::Second;
         let identity = HeadParameters { shape: identity.to_vec(), ..HeadParameters::default() };
         Ok(Self { model, identity, own_motion: Vec::new(), shaped, gaussians, shading })
     }

@@ -171,7 +171,7 @@ fn a_trained_avatar_is_scored_shown_and_opened() {
     assert_eq!((&val["split"], &val["pictures"]), (&"val".into(), &3.into()));
     assert_eq!((&test["split"], &test["pictures"]), (&"test".into(), &4.into()));
     let ratio = |scores: &Value, name: &str| scores[name].as_f64().unwrap();
-    assert!(ratio(val, "psnr") > 15.5 && ratio(val, "psnr_channels") >= ratio(val, "psnr"), "{val}");
+    assert!(ratio(val, "psnr") > 15.0 && ratio(val, "psnr_channels") >= ratio(val, "psnr"), "{val}");
     assert!(ratio(val, "ssim") > 0.75, "{val}");
     let scores: Value = serde_json::from_slice(&fs::read(run.join("scores.json")).unwrap()).unwrap();
     assert_eq!(scores["splits"][1]["views"].as_array().unwrap().len(), 4);

@@ -20,7 +20,8 @@ fn json(folder: &Path, arguments: &[&str]) -> Value {
 /// Three subjects with three clips each, and a model of them.
 static SET: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
-    let size = ["--subjects", "3", "--clips", "3", "--side", "96", "--fps", "60", "--intensity", "2"];
+    let size =
+        ["--subjects", "3", "--clips", "3", "--side", "96", "--fps", "60", "--intensity", "2", "--seed", "2"];
     succeeds(&srflow(folder.path(), &[&["synth", "--out", "set"][..], &size].concat()));
     let run =
         ["run", "--data", "clips:set", "--method", "farneback", "--out", "results", "--save-model", "model"];

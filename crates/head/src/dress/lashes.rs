@@ -69,8 +69,8 @@ fn grow(dressing: &mut Dressing, lid: &Lid, skin: &[u32], t: f32, stream: &mut S
     let (width, taper, opacity) = match (first, lid.upper) {
         (true, true) => (0.048, 0.35, 0.74),
         (true, false) => (0.032, 0.35, 0.38),
-        (false, true) => (0.034, 0.08, 0.60),
-        (false, false) => (0.022, 0.08, 0.28),
+        (false, true) => (0.038, 0.15, 0.78),
+        (false, false) => (0.026, 0.15, 0.42),
     };
     let points: [Vec3; 5] = std::array::from_fn(|i| {
         let s = i as f32 / 4.0;
@@ -97,7 +97,7 @@ fn lash_line(dressing: &mut Dressing, lid: &Lid, skin: &[u32]) {
     let surface = dressing.surface;
     let size = surface.size;
     let curve = lid.landmarks.map(|i| surface.landmarks[i]);
-    let (width, opacity) = if dressing.look == Look::First { (0.17, 0.42) } else { (0.12, 0.22) };
+    let (width, opacity) = if dressing.look == Look::First { (0.17, 0.42) } else { (0.14, 0.34) };
     const STEPS: usize = 70;
     for step in 0..STEPS {
         let t = step as f32 / STEPS as f32 * 0.93;

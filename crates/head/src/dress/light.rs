@@ -96,16 +96,9 @@ impl Material {
     }
 }
 
-/// The exposure of every vertex of the head at rest.
-pub(super) fn bake(surface: &Surface) -> Vec<Exposure> {
-    let mut exposures = bake_posed(surface, surface.vertices, &surface.normals, |_| true);
-    surface.smooth(&mut exposures);
-    exposures
-}
-
 /// The exposure, without smoothing, of the `wanted` vertices of a head whose vertices are `vertices`; zero for the others and those that are
 /// not lit.
-pub(super) fn bake_posed(
+pub(super) fn bake(
     surface: &Surface,
     vertices: &[Vec3],
     normals: &[Vec3],

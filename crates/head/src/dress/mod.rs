@@ -64,10 +64,14 @@ pub fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64, look: Look) -> R
         return Err(HeadError::Landmarks { file: landmark_file(&name), model: name, found });
     }
     let surface = Surface::new(model, shaped);
+    let unsmoothed = light::bake(&surface, surface.vertices, &surface.normals, |_| true);
+    let mut exposures = unsmoothed.clone();
+    surface.smooth(&mut exposures);
     let mut dressing = Dressing {
         surface: &surface,
         appearance: Appearance::of(seed, look),
-        exposures: light::bake(&surface),
+        exposures,
+        unsmoothed,
         look,
         seed,
         lit: 0,
@@ -102,7 +106,9 @@ fn dress_face(dressing: &mut Dressing) {
 struct Dressing<'a> {
     surface: &'a Surface<'a>,
     appearance: Appearance,
+    /// Exposure of the vertices at rest, and the same before it is smoothed.
     exposures: Vec<Exposure>,
+    unsmoothed: Vec<Exposure>,
     look: Look,
     seed: u64,
     splats: Vec<(u32, Splat)>,

@@ -6,7 +6,7 @@ use srflow_splat::{Gaussians, SH_0};
 
 use super::folds::intensity;
 use super::folds::{Crease, Strengths, creases};
-use super::light::{Exposure, Lit, bake_posed};
+use super::light::{Exposure, Lit, bake};
 use super::{Dressing, Splat};
 use crate::{HeadModel, HeadPose, Region, ShapedHead, Side, TriangleFrame, vertex_normals};
 
@@ -42,10 +42,10 @@ struct Shadows {
 }
 
 /// Action units that change shadows.
-const UNITS: [u8; 7] = [43, 4, 6, 9, 12, 1, 10];
+const UNITS: [u8; 5] = [43, 4, 6, 9, 12];
 
 /// Vertices that a unit moves less keep their exposure, metres.
-const MOVED: f32 = 2e-4;
+const MOVED: f32 = 5e-4;
 
 /// Least and greatest factor of light.
 const FACTORS: (f32, f32) = (0.25, 6.0);
@@ -210,10 +210,12 @@ impl Shadows {
             .map(|normal| normal.normalize_or(Vec3::Y))
             .collect();
         let moved = |v: usize| vertices[v].distance(surface.vertices[v]) > MOVED * surface.size;
-        let after = bake_posed(surface, &vertices, &normals, moved);
-        let before = bake_posed(surface, surface.vertices, &surface.normals, moved);
-        let mut changes: Vec<Exposure> =
-            after.iter().zip(&before).map(|(after, before)| *after + *before * -1.0).collect();
+        let after = bake(surface, &vertices, &normals, moved);
+        let change = |v: usize| match moved(v) {
+            true => after[v] + dressing.unsmoothed[v] * -1.0,
+            false => Exposure::default(),
+        };
+        let mut changes: Vec<Exposure> = (0..after.len()).map(change).collect();
         surface.smooth(&mut changes);
         let of = |(v, change): (usize, Exposure)| (v as u32, surface.vertices[v].x < 0.0, change);
         let shown = |change: &Exposure| [change.sky, change.key, change.fill].iter().any(|c| c.abs() > 4e-3);

@@ -18,7 +18,8 @@ fn srflow(folder: &Path, arguments: &[&str]) -> Output {
 static SET: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     let calm = ["--blinks", "0", "--glances", "0", "--speech", "0", "--drift", "0.2", "--intensity", "2"];
-    let size = ["synth-long", "--out", "set", "--subjects", "1", "--minutes", "0.3", "--side", "128"];
+    let size =
+        ["synth-long", "--out", "set", "--subjects", "1", "--minutes", "0.3", "--side", "128", "--look", "1"];
     let text = succeeds(&srflow(folder.path(), &[&size[..], &calm].concat()));
     assert!(text.contains("540 of 540 frames") && text.contains("1 videos with"), "{text}");
     folder

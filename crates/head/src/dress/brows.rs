@@ -84,7 +84,7 @@ fn grow(dressing: &mut Dressing, spine: &[Vec3; 5], skin: &[u32], shape: &Shape,
         root.position + (direction * s + lift - Vec3::Y * (0.12 * s * s)) * length + root.normal * (0.15 * MM)
     });
     let albedo = dressing.appearance.brows * stream.uniform(0.6, 1.3);
-    let (width, opacity) = if dressing.look == Look::First { (0.065, 0.7) } else { (0.054, 0.75) };
+    let (width, opacity) = if dressing.look == Look::First { (0.065, 0.7) } else { (0.068, 0.82) };
     let strand = Strand {
         points: &points,
         width: width * MM * size,

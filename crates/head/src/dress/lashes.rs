@@ -35,8 +35,8 @@ pub(super) fn dress_lashes(dressing: &mut Dressing) {
         let hairs = match (dressing.look, lid.upper) {
             (Look::First, true) => 88,
             (Look::First, false) => 50,
-            (_, true) => 105,
-            (_, false) => 46,
+            (_, true) => 130,
+            (_, false) => 60,
         };
         for i in 0..hairs {
             let t = 0.05 + 0.84 * (i as f32 + stream.unit()) / hairs as f32;
@@ -69,8 +69,8 @@ fn grow(dressing: &mut Dressing, lid: &Lid, skin: &[u32], t: f32, stream: &mut S
     let (width, taper, opacity) = match (first, lid.upper) {
         (true, true) => (0.048, 0.35, 0.74),
         (true, false) => (0.032, 0.35, 0.38),
-        (false, true) => (0.038, 0.15, 0.78),
-        (false, false) => (0.026, 0.15, 0.42),
+        (false, true) => (0.046, 0.2, 0.85),
+        (false, false) => (0.034, 0.2, 0.6),
     };
     let points: [Vec3; 5] = std::array::from_fn(|i| {
         let s = i as f32 / 4.0;
@@ -97,7 +97,7 @@ fn lash_line(dressing: &mut Dressing, lid: &Lid, skin: &[u32]) {
     let surface = dressing.surface;
     let size = surface.size;
     let curve = lid.landmarks.map(|i| surface.landmarks[i]);
-    let (width, opacity) = if dressing.look == Look::First { (0.17, 0.42) } else { (0.14, 0.34) };
+    let (width, opacity) = if dressing.look == Look::First { (0.17, 0.42) } else { (0.19, 0.6) };
     const STEPS: usize = 70;
     for step in 0..STEPS {
         let t = step as f32 / STEPS as f32 * 0.93;

@@ -81,7 +81,7 @@ fn stubble(dressing: &mut Dressing, complexion: &Complexion) {
         let jitter = Vec3::new(stream.normal(), stream.normal(), stream.normal()) * 0.25;
         let direction = (down + root.normal * 0.7 + jitter).normalize_or(root.normal);
         let length = (0.5 + 1.3 * grown) * stream.uniform(0.6, 1.2) * MM * size;
-        let (width, opacity) = if dressing.look == Look::First { (0.055, 0.62) } else { (0.05, 0.6) };
+        let (width, opacity) = if dressing.look == Look::First { (0.055, 0.62) } else { (0.075, 0.8) };
         let base = root.position + root.normal * (0.08 * MM * size);
         let albedo = dressing.appearance.brows * stream.uniform(0.7, 1.6);
         let strand = Strand {

@@ -23,9 +23,11 @@ const TRANSLATION_METRES: f64 = 0.008;
 /// Seconds between control points of the turns and the translation.
 const KNOT_SECONDS: f32 = 0.9;
 
-/// What the face shows at first, one after the other, as in recordings for avatars: action units and how far the eyes turn, to the
-/// subject's left and up, in radians.
-const WARM_UP: [(&[(u8, f32)], [f32; 2]); 13] = [
+/// Action units at their strongest, and how far the eyes turn to the subject's left and up, in radians.
+type Shown = (&'static [(u8, f32)], [f32; 2]);
+
+/// What the face shows at first, one after the other, as in recordings for avatars.
+const WARM_UP: [Shown; 13] = [
     (&[(6, 0.8), (12, 1.0), (25, 0.6)], [0.0, 0.0]),
     (&[(1, 1.0), (2, 1.0), (5, 0.8)], [0.0, 0.0]),
     (&[(26, 1.0), (25, 0.5)], [0.0, 0.0]),

@@ -196,12 +196,16 @@ pub struct PairFiles {
 impl PairFiles {
     /// All files.
     pub fn all(&self) -> impl Iterator<Item = &PathBuf> {
-        [&self.frame1, &self.frame2, &self.flow, &self.alpha, &self.mask, &self.occlusion, &self.record]
+        let of_frames = [&self.frame1, &self.frame2, &self.alpha, &self.mask];
+        of_frames.into_iter().chain(self.of_pair()).chain(&self.depth).chain(&self.regions)
+    }
+
+    /// The files that are not those of one frame; the record first.
+    pub fn of_pair(&self) -> impl Iterator<Item = &PathBuf> {
+        [&self.record, &self.flow, &self.occlusion]
             .into_iter()
             .chain(self.other_flows().map(|(_, path)| path))
             .chain(&self.shading_change)
-            .chain(&self.depth)
-            .chain(&self.regions)
     }
 
     /// The optional files of flow, with the names of their folders.

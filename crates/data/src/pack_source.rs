@@ -78,10 +78,23 @@ fn shapes(dir: &Path, path: PathBuf) -> Result<Source, DatasetError> {
 
 fn pair_of_files(scene: &str, number: u32, files: PairFiles) -> PairSource {
     let other_flows = files.other_flows().map(|(field, path)| (field, path.clone())).collect();
-    let PairFiles { frame1, frame2, flow, alpha, mask, occlusion, depth, regions, record, .. } = files;
+    let PairFiles {
+        frame1,
+        frame2,
+        flow,
+        shading_change,
+        alpha,
+        mask,
+        occlusion,
+        depth,
+        regions,
+        record,
+        ..
+    } = files;
     let mut pictures = vec![("alpha", alpha), ("frame1", frame1), ("frame2", frame2), ("mask", mask)];
     pictures.extend(depth.map(|path| ("depth", path)));
     pictures.extend(regions.map(|path| ("regions", path)));
+    pictures.extend(shading_change.map(|path| ("shading_change", path)));
     PairSource {
         scene: scene.to_owned(),
         frame: format!("{number:05}"),

@@ -26,11 +26,12 @@ pub(crate) fn part_of(region: Region) -> HeadPart {
 pub(crate) struct PartWeights {
     /// The colours of each pass.
     passes: [Frame; PASSES],
+    /// Those of the Gaussians in a pass.
+    painted: Vec<[f32; 3]>,
 }
 
 impl PartWeights {
-    /// Renders the Gaussians of `avatar` in the colours that stand for their parts. `gaussians`, which are posed, lose their own
-    /// colours.
+    /// Renders the Gaussians of `avatar`, which are posed, in the colours that stand for their parts. They get their own back.
     ///
     /// # Errors
     /// When the Gaussians or the camera are refused.
@@ -42,11 +43,15 @@ impl PartWeights {
         camera: &Camera,
     ) -> Result<(), RasterizeError> {
         let options = Options { outputs: Outputs { color: true, ..Outputs::NONE }, ..Options::default() };
-        for (pass, frame) in self.passes.iter_mut().enumerate() {
+        let own =
+            (gaussians.sh_degree, std::mem::replace(&mut gaussians.sh, std::mem::take(&mut self.painted)));
+        let rendered = self.passes.iter_mut().enumerate().try_for_each(|(pass, frame)| {
             paint_parts(avatar, pass, gaussians);
-            rasterizer.render(gaussians, camera, None, &options, frame)?;
-        }
-        Ok(())
+            rasterizer.render(gaussians, camera, None, &options, frame)
+        });
+        gaussians.sh_degree = own.0;
+        self.painted = std::mem::replace(&mut gaussians.sh, own.1);
+        rendered
     }
 
     /// The part at each pixel of the mask, row-major; `None` where `alpha`, which the same Gaussians gave, is not above one half.

@@ -125,12 +125,14 @@ fn the_parts_of_the_flow_are_packed_and_read() {
     let [set, out] = ["set", "packed"].map(|name| folder.path().join(name));
     let mut command = crate::srflow();
     command.args(["render", "--scenes", "1", "--frames", "2", "--size", "110x160", "--splits", "0,0,1"]);
-    succeeds(&command.args(["--decompose", "--out"]).arg(&set).output().unwrap());
+    succeeds(&command.args(["--decompose", "--shading-change", "--out"]).arg(&set).output().unwrap());
     succeeds(&pack(&set, &out, &["--flow", "npz16"]));
     let index = fs::read_to_string(out.join("index.jsonl")).unwrap();
     let first: Value = serde_json::from_str(index.lines().next().unwrap()).unwrap();
     assert!(
-        ["head_flow.npz16", "expression_flow.npz16"].iter().all(|name| first["members"][name].is_object())
+        ["head_flow.npz16", "expression_flow.npz16", "shading_change.png"]
+            .iter()
+            .all(|name| first["members"][name].is_object())
     );
     let errors = |dataset: String| {
         let mut command = crate::srflow();

@@ -330,6 +330,9 @@ impl PairChecker<'_> {
             findings.add_up(flow, head, expression, path);
         }
         let backward = files.flow_backward.as_ref().and_then(|path| findings.read_flow(path, size));
+        if let Some(path) = &files.shading_change {
+            findings.read_image(path, size);
+        }
         let occlusion = findings.read_mask(&files.occlusion, size);
         match PairRecord::read(&files.record) {
             Ok(record) => {

@@ -60,12 +60,10 @@ impl Layout for Manifest {
     fn files(&self, dir: &Path, group: u32, pair: u32) -> Vec<PathBuf> {
         let scene = &self.scenes[group as usize];
         let files = self.files(dir, scene, pair);
-        let others: Vec<PathBuf> = files.other_flows().map(|(_, path)| path.clone()).collect();
-        let PairFiles { flow, occlusion, record, .. } = files;
         let frames = if pair + 1 == scene.pairs { pair..pair + 2 } else { pair..pair + 1 };
         let of_frames =
             frames.flat_map(|frame| self.frame_files(dir, scene, frame).all().cloned().collect::<Vec<_>>());
-        [record, flow, occlusion].into_iter().chain(others).chain(of_frames).collect()
+        files.of_pair().cloned().chain(of_frames).collect()
     }
 
     fn begun_in(&self, dir: &Path) -> Vec<(u32, u32)> {
@@ -479,8 +477,7 @@ impl Worker {
         Ok(())
     }
 
-    /// Writes the files that depend on one frame alone: picture, alpha, mask, depth and region map. The frame's own Gaussians lose
-    /// their colours if there are region maps, and are used for flow alone from then on.
+    /// Writes the files that depend on one frame alone: picture, alpha, mask, depth and region map.
     fn write_frame(
         &mut self,
         work: &Work,

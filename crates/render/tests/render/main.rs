@@ -9,6 +9,7 @@ mod long;
 mod made;
 mod recording;
 mod regions;
+mod shading_change;
 mod shapes;
 mod synth;
 mod threads;

@@ -3,8 +3,8 @@
     SRFLOW_WRITE_AVERAGE_HALF=half.json cargo test --release -p srflow-head --lib the_average_half
     python tools/head_form.py FaceXModel half.json crates/head/src/builtin/form.txt
 
-FaceXModel is the folder of https://github.com/ICT-VGL/ICT-FaceKit (MIT), of which it reads the neutral head, the identities and the
-expressions. The result is a smooth displacement of the sculpted head: sums of Gaussian kernels on its surface, one set of coefficients
+FaceXModel is the folder of https://github.com/ICT-VGL/ICT-FaceKit (MIT). The script reads its neutral head, identities and expressions.
+The result is a smooth displacement of the sculpted head: sums of Gaussian kernels on its surface, one set of coefficients
 for the average face, one for each of the most frequent ways in which faces differ, and one for each action unit.
 
 Needs numpy and scipy.

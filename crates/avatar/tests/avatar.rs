@@ -236,6 +236,27 @@ fn ict_action_units_are_those_of_the_files_present() {
 /// The pictures of an avatar that was written as GaussianAvatars' files and read again, in its own motion, are those of the
 /// original to rounding.
 #[test]
+fn a_frown_folds_the_skin_in_light_and_moves_no_gaussian_from_its_triangle() {
+    let avatar = &*FIRST;
+    let model = avatar.model();
+    let frown = model.pose_of_action_units(&[(4, Side::Both, 1.0)]).unwrap();
+    let (shown, head) = gaussians(avatar, &frown);
+    let mut bound = Gaussians::default();
+    avatar.bound().world_into(head.frames(), &mut bound);
+    assert_eq!((&shown.positions, &shown.scales), (&bound.positions, &bound.scales));
+    // Between the brows, where the groove is, against the chin.
+    let landmarks: Vec<Vec3> = model.landmarks_on(head.vertices()).collect();
+    let darkest = |place: Vec3| {
+        let near = shown.positions.iter().zip(shown.sh.iter().zip(&bound.sh));
+        near.filter(|(p, _)| p.distance(place) < 0.012)
+            .map(|(_, (after, before))| after[1] - before[1])
+            .fold(0.0, f32::min)
+    };
+    let (brows, chin) = (darkest((landmarks[21] + landmarks[22]) * 0.5), darkest(landmarks[8]));
+    assert!(brows < -0.15 && brows < 2.0 * chin, "{brows} {chin}");
+}
+
+#[test]
 fn an_avatar_survives_its_files() {
     let folder = tempfile::tempdir().unwrap();
     // Its colours do not change with the pose, as those of files.

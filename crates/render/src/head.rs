@@ -11,7 +11,7 @@ use srflow_head::Look;
 
 use crate::RenderError;
 use crate::error::require;
-use crate::record::read_record;
+use crate::record::{malformed, read_record};
 use crate::setting_files::{files_at, fingerprint};
 
 /// Reads the settings that a set recorded. Those of before heads had several looks name none.
@@ -21,10 +21,7 @@ use crate::setting_files::{files_at, fingerprint};
 pub(crate) fn read_settings<T: DeserializeOwned>(path: &Path) -> Result<T, RenderError> {
     let mut record: Value = read_record(path)?;
     name_look(&mut record);
-    serde_json::from_value(record).map_err(|error| RenderError::Malformed {
-        path: path.to_owned(),
-        reason: srflow_files::parse_error_in_words(&error),
-    })
+    serde_json::from_value(record).map_err(|error| malformed(path, &error))
 }
 
 /// Adds the look that is meant where settings name none.

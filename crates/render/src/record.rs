@@ -54,10 +54,12 @@ pub(crate) fn json_text(content: &impl Serialize) -> String {
 /// When it cannot be read, or has other content.
 pub(crate) fn read_record<T: DeserializeOwned>(path: &Path) -> Result<T, RenderError> {
     let text = read_text(path, FileKind::Json)?;
-    serde_json::from_str(&text).map_err(|error| RenderError::Malformed {
-        path: path.to_owned(),
-        reason: srflow_files::parse_error_in_words(&error),
-    })
+    serde_json::from_str(&text).map_err(|error| malformed(path, &error))
+}
+
+/// The error of a record with other content.
+pub(crate) fn malformed(path: &Path, error: &serde_json::Error) -> RenderError {
+    RenderError::Malformed { path: path.to_owned(), reason: srflow_files::parse_error_in_words(error) }
 }
 
 impl PairRecord {

@@ -42,7 +42,7 @@ pub use gaussians::Gaussians;
 pub use gradients::{CameraGradient, FrameGradients, GaussianGradients};
 pub use options::{Next, Options, Sorting};
 pub use rasterizer::{Rasterizer, Rendering};
-pub use sh::SH_0;
+pub use sh::{SH_0, scale_colour};
 
 #[cfg(test)]
 mod tests;

@@ -12,6 +12,18 @@ const C30: f64 = 0.373_176_332_590_115_4; // sqrt(7 / pi) / 4
 /// The spherical harmonic of degree 0: colour per coefficient, `sqrt(1 / pi) / 2`.
 pub const SH_0: f64 = 0.282_094_791_773_878_14;
 
+/// Multiplies the colour of the Gaussian with the coefficients `sh` by `factor`, red, green and blue, about the colour `0.5 - level`: 0.5 scales
+/// the colour itself.
+pub fn scale_colour(sh: &mut [[f32; 3]], factor: [f32; 3], level: f32) {
+    for (number, coefficient) in sh.iter_mut().enumerate() {
+        for (value, factor) in coefficient.iter_mut().zip(factor) {
+            // The colour is 0.5 and the sum of the terms.
+            let constant = if number == 0 { level * (factor - 1.0) / SH_0 as f32 } else { 0.0 };
+            *value = *value * factor + constant;
+        }
+    }
+}
+
 /// Coefficients per Gaussian of spherical harmonics of `degree`.
 pub(crate) const fn coefficients(degree: usize) -> usize {
     (degree + 1) * (degree + 1)

@@ -10,6 +10,7 @@ use super::curves::smoothstep;
 use super::half::{Half, Mark, Part};
 use super::identity::{Plan, Traits};
 use super::mouth;
+use super::skin::TRAGUS;
 use crate::Look;
 
 /// Smaller displacements by units are errors of the fit, millimetres: they fade out from the second to the first.
@@ -74,7 +75,7 @@ impl Form {
         for (p, offset) in points.iter_mut().zip(&self.average) {
             *p += *offset;
         }
-        for (mode, weight) in self.modes.iter().zip(traits.form()) {
+        for (mode, weight) in self.modes.iter().zip(traits.form) {
             for (p, offset) in points.iter_mut().zip(mode) {
                 *p += *offset * weight;
             }
@@ -167,9 +168,12 @@ fn field(weights: &[Vec<[f32; 2]>], coefficients: &Coefficients) -> Vec<Vec3> {
     weights.par_iter().map(at).collect()
 }
 
-/// Keeps the middle where it is.
-fn in_the_middle(mark: &Mark) -> Vec3 {
-    if mark.midline { Vec3::new(0.0, 1.0, 1.0) } else { Vec3::ONE }
+/// A displacement of each vertex that keeps the middle where it is.
+fn symmetric(half: &Half, of: impl Fn(usize, Part) -> Vec3) -> Vec<Vec3> {
+    let at = |(v, mark): (usize, &Mark)| {
+        of(v, mark.part) * if mark.midline { Vec3::new(0.0, 1.0, 1.0) } else { Vec3::ONE }
+    };
+    half.marks.iter().enumerate().map(at).collect()
 }
 
 /// Where vertices that are not skin take their displacements from.
@@ -207,11 +211,10 @@ impl Places {
             }
         };
         let lips = Vec3::new(0.0, mouth::slit(plan, 0.0), 100.0);
-        let tragus = Vec3::new(72.0, 3.0, -4.0);
         Self {
             skin: (0..half.points.len()).map(before).collect(),
             mouth: nearest(&|_| true, &|q| q.distance_squared(lips)),
-            ear: nearest(&|_| true, &|q| q.distance_squared(tragus)),
+            ear: nearest(&|_| true, &|q| q.distance_squared(TRAGUS)),
             beyond_eye: half.points.iter().map(|p| smoothstep(14.0, 20.0, p.distance(plan.eye))).collect(),
             beyond_lids: half.points.iter().map(|p| smoothstep(12.5, 25.0, p.distance(plan.eye))).collect(),
         }
@@ -220,7 +223,7 @@ impl Places {
     /// The shape of a head from a field on its skin: eyes stay, teeth and tongue go with the lips, and the ear with its root.
     fn shape(&self, half: &Half, field: &[Vec3]) -> Vec<Vec3> {
         let mouth = field[self.mouth] * Vec3::new(0.0, 1.0, 1.0);
-        let of = |(v, mark): (usize, &Mark)| match mark.part {
+        symmetric(half, |v, part| match part {
             Part::Skin => field[v] * self.beyond_eye[v],
             Part::LidLining | Part::Eyeball => Vec3::ZERO,
             Part::MouthLining { depth } => {
@@ -228,8 +231,7 @@ impl Places {
             }
             Part::UpperTeeth | Part::LowerTeeth | Part::Tongue => mouth,
             Part::Ear => field[self.ear],
-        };
-        half.marks.iter().enumerate().map(|(v, mark)| of((v, mark)) * in_the_middle(mark)).collect()
+        })
     }
 
     /// What a unit does from its field on the skin: the inside of the mouth follows the lips, the deeper the less.
@@ -243,7 +245,7 @@ impl Places {
             let faded = smoothstep(LEAST.0, LEAST.1, field[v].length());
             field[v] * (faded * part(half.points[v].y) * smoothstep(-15.0, 5.0, half.points[v].z))
         };
-        let of = |(v, mark): (usize, &Mark)| match mark.part {
+        symmetric(half, |v, part| match part {
             Part::Skin => of_skin(v) * self.beyond_lids[v],
             Part::MouthLining { depth } => {
                 let lips = of_skin(self.skin[v]);
@@ -252,7 +254,6 @@ impl Places {
                 (lips - behind) * (1.0 - smoothstep(2.0, 7.0, f32::from(depth)))
             }
             _ => Vec3::ZERO,
-        };
-        half.marks.iter().enumerate().map(|(v, mark)| of((v, mark)) * in_the_middle(mark)).collect()
+        })
     }
 }

@@ -4,6 +4,9 @@ use srflow_core::random::Key;
 use super::form::MODES;
 use crate::Look;
 
+/// The traits of a head that is average but for one of them, by its value.
+pub(super) type OneTrait = Box<dyn Fn(f32) -> Traits + Send + Sync>;
+
 macro_rules! traits {
     ($($name:ident),* $(,)?) => {
         /// The traits that distinguish one person's head from another's: each is roughly normal with mean 0 and deviation 1,
@@ -11,26 +14,38 @@ macro_rules! traits {
         #[derive(Debug, Clone, Copy, Default, PartialEq)]
         pub(super) struct Traits {
             $(pub $name: f32,)*
+            /// Weights of the ways in which faces differ; see [`super::form::Form`].
+            pub form: [f32; MODES],
         }
 
         impl Traits {
             /// The average head but for one trait: its name, and a function of the trait's value.
-            pub(super) fn each(look: Look) -> Vec<(&'static str, fn(f32) -> Self)> {
-                let all: Vec<(&'static str, fn(f32) -> Self)> =
-                    vec![$((stringify!($name), |$name| Self { $name, ..Self::default() }),)*];
-                let known = |name: &str| look >= Look::Second || !name.starts_with("form_");
-                all.into_iter().filter(|(name, _)| known(name)).collect()
+            pub(super) fn each(look: Look) -> Vec<(String, OneTrait)> {
+                let sculpted = [$((
+                    stringify!($name).to_owned(),
+                    Box::new(|$name| Self { $name, ..Self::default() }) as OneTrait,
+                ),)*];
+                let form = |mode: usize| {
+                    let of = move |weight: f32| {
+                        let mut traits = Self::default();
+                        traits.form[mode] = weight;
+                        traits
+                    };
+                    (format!("form_{}", mode + 1), Box::new(of) as OneTrait)
+                };
+                let modes = if look == Look::First { 0 } else { MODES };
+                sculpted.into_iter().chain((0..modes).map(form)).collect()
             }
 
-            /// All traits times `factor`.
+            /// With what is sculpted times `factor`.
             fn scaled(&self, factor: f32) -> Self {
-                Self { $($name: self.$name * factor,)* }
+                Self { $($name: self.$name * factor,)* form: self.form }
             }
 
             /// The values, in the same order.
             #[cfg(test)]
             pub(super) fn values(&self) -> Vec<f32> {
-                vec![$(self.$name,)*]
+                [$(self.$name,)*].into_iter().chain(self.form).collect()
             }
         }
     };
@@ -67,16 +82,6 @@ traits! {
     ear_size,
     ear_protrusion,
     neck_girth,
-    form_1,
-    form_2,
-    form_3,
-    form_4,
-    form_5,
-    form_6,
-    form_7,
-    form_8,
-    form_9,
-    form_10,
 }
 
 impl Traits {
@@ -128,8 +133,6 @@ impl Traits {
         let Self { eye_opening, eye_width, eye_tilt, lid_crease, upper_lip, lower_lip, .. } = self;
         let Self { nose_length, nose_width, nose_bridge, nose_hump, nose_tip, nose_turn, .. } = self;
         let Self { ear_size, ear_protrusion, neck_girth, head_length, crown_height, .. } = self;
-        let form: [f32; MODES] = std::array::from_fn(|mode| 0.85 * draw(&format!("head: form {}", mode + 1)));
-        let [form_1, form_2, form_3, form_4, form_5, form_6, form_7, form_8, form_9, form_10] = form;
         Self {
             nose_length: 0.8 * nose_length,
             nose_width: 0.8 * nose_width,
@@ -148,34 +151,9 @@ impl Traits {
             neck_girth,
             head_length,
             crown_height,
-            form_1,
-            form_2,
-            form_3,
-            form_4,
-            form_5,
-            form_6,
-            form_7,
-            form_8,
-            form_9,
-            form_10,
+            form: std::array::from_fn(|mode| 0.85 * draw(&format!("head: form {}", mode + 1))),
             ..self.scaled(SCULPTED)
         }
-    }
-
-    /// Weights of the ways in which faces differ; see [`super::form::Form`].
-    pub(super) fn form(&self) -> [f32; MODES] {
-        [
-            self.form_1,
-            self.form_2,
-            self.form_3,
-            self.form_4,
-            self.form_5,
-            self.form_6,
-            self.form_7,
-            self.form_8,
-            self.form_9,
-            self.form_10,
-        ]
     }
 }
 

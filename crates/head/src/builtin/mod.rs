@@ -29,7 +29,7 @@ use rayon::prelude::*;
 
 use self::form::Form;
 use self::half::{Half, Mark};
-use self::identity::{Plan, Traits};
+use self::identity::{OneTrait, Plan, Traits};
 use self::landmarks::Landmarks;
 use crate::{ActionUnit, HeadModel, Joint, JointRole, Look, Offsets, Shape, Side, Skinning};
 
@@ -62,7 +62,7 @@ impl HeadModel {
     /// As [`HeadModel::builtin_average`], with a look.
     pub fn builtin_average_with(look: Look) -> Self {
         let average = Self::sculpted(Traits::default(), look);
-        let shape = |(name, of): (&str, fn(f32) -> Traits)| {
+        let shape = |(name, of): (String, OneTrait)| {
             let [more, less] = [1.0, -1.0].map(|value| Self::sculpted(of(value), look));
             let halves = |more: &[Vec3], less: &[Vec3]| -> Vec<Vec3> {
                 more.iter().zip(less).map(|(more, less)| (*more - *less) * 0.5).collect()

@@ -15,6 +15,9 @@ const INNER_CANTHUS: usize = 14;
 const OUTER_CANTHUS: usize = 39;
 const MOUTH_CORNER: usize = 25;
 
+/// Where the tragus of the ear is on the average head, about.
+pub(super) const TRAGUS: Vec3 = Vec3::new(72.0, 3.0, -4.0);
+
 /// Rows of the grid across the vermilion of each lip.
 pub(super) const LIP_ROWS: isize = 8;
 
@@ -321,17 +324,16 @@ impl<'a> Grid<'a> {
 
     /// The skin vertex nearest to the ear's tragus.
     fn ear_root(&self, half: &Half, grid: &[Vec<u32>]) -> Vec3 {
-        let wanted = Vec3::new(72.0, 3.0, -4.0);
-        let mut nearest = wanted;
+        let mut nearest = TRAGUS;
         let mut distance = f32::INFINITY;
         for &vertex in grid.iter().flatten() {
             let p = half.points[vertex as usize];
-            let d = (p - wanted).with_x(0.0).length() + if p.x < 30.0 { 100.0 } else { 0.0 };
+            let d = (p - TRAGUS).with_x(0.0).length() + if p.x < 30.0 { 100.0 } else { 0.0 };
             if d < distance {
                 (nearest, distance) = (p, d);
             }
         }
-        Vec3::new(nearest.x + 0.6, wanted.y, wanted.z)
+        Vec3::new(nearest.x + 0.6, TRAGUS.y, TRAGUS.z)
     }
 }
 

@@ -4,7 +4,7 @@ use glam::Vec3;
 use srflow_core::random::Stream;
 
 use super::appearance::{Appearance, HairStyle};
-use super::light::{Exposure, Material, shade};
+use super::light::{Exposure, Material, SKIN_WRAP, shade};
 use super::noise::Noise;
 use super::surface::{Surface, SurfacePoint};
 use super::{Dressing, smoothstep};
@@ -232,7 +232,7 @@ impl<'a> Complexion<'a> {
             Look::Second => (0.045 + 0.075 * oily, 16.0 + 10.0 * oily),
         };
         let (sheen, gloss) = (sheen + 0.055 * lip, gloss + 14.0 * lip);
-        let material = Material { albedo, wrap: Vec3::new(0.36, 0.16, 0.09), sheen, gloss };
+        let material = Material { albedo, wrap: SKIN_WRAP, sheen, gloss };
         shade(&material, normal, exposure)
     }
 

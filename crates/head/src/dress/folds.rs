@@ -9,8 +9,8 @@ use crate::{HeadModel, Region, Side};
 
 const MM: f32 = 1e-3;
 
-/// A point of the face: a landmark of the left half (dlib's number) and an offset in millimetres outward, up and forward.
-type Place = (usize, [f32; 3]);
+/// A point of the face: a landmark of the left half (dlib's number) and an offset in millimetres outward and up.
+type Place = (usize, [f32; 2]);
 
 /// A fold of the left half of the face. The right half has its mirror image.
 struct Fold {
@@ -30,18 +30,13 @@ struct Fold {
     units: &'static [(u8, f32)],
 }
 
-const NASOLABIAL: &[Place] = &[
-    (54, [12.5, -11.0, 0.0]),
-    (54, [12.0, 0.0, 0.0]),
-    (54, [9.0, 9.5, 0.0]),
-    (35, [13.0, -3.5, 0.0]),
-    (35, [7.5, 6.5, 0.0]),
-];
+const NASOLABIAL: &[Place] =
+    &[(54, [12.5, -11.0]), (54, [12.0, 0.0]), (54, [9.0, 9.5]), (35, [13.0, -3.5]), (35, [7.5, 6.5])];
 
 static FOLDS: [Fold; 22] = [
     // Around the wing of the nose.
     Fold {
-        line: &[(35, [3.0, -2.5, 0.0]), (35, [5.2, 1.0, 0.0]), (35, [5.4, 5.0, 0.0]), (35, [2.5, 8.5, 0.0])],
+        line: &[(35, [3.0, -2.5]), (35, [5.2, 1.0]), (35, [5.4, 5.0]), (35, [2.5, 8.5])],
         depth: [0.8, 0.8],
         width: 1.5,
         bulge: 0.0,
@@ -51,7 +46,7 @@ static FOLDS: [Fold; 22] = [
     },
     // The side of the philtrum.
     Fold {
-        line: &[(51, [1.6, 2.5, 0.0]), (51, [1.4, 7.0, 0.0]), (33, [1.2, -1.5, 0.0])],
+        line: &[(51, [1.6, 2.5]), (51, [1.4, 7.0]), (33, [1.2, -1.5])],
         depth: [0.22, 0.22],
         width: 1.5,
         bulge: 0.5,
@@ -71,7 +66,7 @@ static FOLDS: [Fold; 22] = [
     },
     // Crow's feet.
     Fold {
-        line: &[(45, [4.5, 2.0, 0.0]), (45, [10.0, 4.5, 0.0]), (45, [16.0, 8.5, 0.0])],
+        line: &[(45, [4.5, 2.0]), (45, [10.0, 4.5]), (45, [16.0, 8.5])],
         depth: [0.10, 0.42],
         width: 0.9,
         bulge: 0.4,
@@ -80,7 +75,7 @@ static FOLDS: [Fold; 22] = [
         units: &[(6, 1.0), (12, 0.2)],
     },
     Fold {
-        line: &[(45, [5.0, -1.0, 0.0]), (45, [11.0, -1.0, 0.0]), (45, [18.0, -0.5, 0.0])],
+        line: &[(45, [5.0, -1.0]), (45, [11.0, -1.0]), (45, [18.0, -0.5])],
         depth: [0.12, 0.42],
         width: 0.9,
         bulge: 0.4,
@@ -89,7 +84,7 @@ static FOLDS: [Fold; 22] = [
         units: &[(6, 1.0), (12, 0.2)],
     },
     Fold {
-        line: &[(45, [4.0, -4.0, 0.0]), (45, [9.0, -6.5, 0.0]), (45, [15.0, -10.5, 0.0])],
+        line: &[(45, [4.0, -4.0]), (45, [9.0, -6.5]), (45, [15.0, -10.5])],
         depth: [0.10, 0.42],
         width: 0.9,
         bulge: 0.4,
@@ -99,12 +94,7 @@ static FOLDS: [Fold; 22] = [
     },
     // Under the lower lid, which bulges.
     Fold {
-        line: &[
-            (42, [3.0, -5.5, 0.0]),
-            (47, [0.0, -7.0, 0.0]),
-            (46, [0.0, -7.5, 0.0]),
-            (45, [-1.0, -6.5, 0.0]),
-        ],
+        line: &[(42, [3.0, -5.5]), (47, [0.0, -7.0]), (46, [0.0, -7.5]), (45, [-1.0, -6.5])],
         depth: [0.30, 0.45],
         width: 1.2,
         bulge: 0.7,
@@ -114,7 +104,7 @@ static FOLDS: [Fold; 22] = [
     },
     // Furrows of the cheek below it.
     Fold {
-        line: &[(47, [2.0, -12.0, 0.0]), (46, [3.0, -13.5, 0.0]), (45, [5.0, -12.0, 0.0])],
+        line: &[(47, [2.0, -12.0]), (46, [3.0, -13.5]), (45, [5.0, -12.0])],
         depth: [0.10, 0.30],
         width: 1.3,
         bulge: 0.4,
@@ -124,12 +114,7 @@ static FOLDS: [Fold; 22] = [
     },
     // Between the brows.
     Fold {
-        line: &[
-            (22, [-4.6, -6.0, 0.0]),
-            (22, [-4.2, 1.0, 0.0]),
-            (22, [-3.0, 9.0, 0.0]),
-            (22, [-2.2, 15.0, 0.0]),
-        ],
+        line: &[(22, [-4.6, -6.0]), (22, [-4.2, 1.0]), (22, [-3.0, 9.0]), (22, [-2.2, 15.0])],
         depth: [0.65, 1.1],
         width: 1.5,
         bulge: 0.5,
@@ -138,7 +123,7 @@ static FOLDS: [Fold; 22] = [
         units: &[(4, 1.0), (9, 0.4)],
     },
     Fold {
-        line: &[(22, [-9.5, -4.0, 0.0]), (22, [-9.2, 4.0, 0.0]), (22, [-8.8, 10.0, 0.0])],
+        line: &[(22, [-9.5, -4.0]), (22, [-9.2, 4.0]), (22, [-8.8, 10.0])],
         depth: [0.15, 0.4],
         width: 1.2,
         bulge: 0.3,
@@ -148,7 +133,7 @@ static FOLDS: [Fold; 22] = [
     },
     // Across the root of the nose.
     Fold {
-        line: &[(27, [7.0, 5.0, 0.0]), (27, [3.5, 3.5, 0.0]), (27, [-1.0, 3.0, 0.0])],
+        line: &[(27, [7.0, 5.0]), (27, [3.5, 3.5]), (27, [-1.0, 3.0])],
         depth: [0.35, 0.6],
         width: 1.3,
         bulge: 0.4,
@@ -158,7 +143,7 @@ static FOLDS: [Fold; 22] = [
     },
     // Lines on the side of the nose.
     Fold {
-        line: &[(28, [10.0, 9.0, 0.0]), (28, [6.5, 5.5, 0.0]), (28, [2.0, 4.0, 0.0])],
+        line: &[(28, [10.0, 9.0]), (28, [6.5, 5.5]), (28, [2.0, 4.0])],
         depth: [0.35, 0.5],
         width: 1.0,
         bulge: 0.5,
@@ -167,7 +152,7 @@ static FOLDS: [Fold; 22] = [
         units: &[(9, 1.0)],
     },
     Fold {
-        line: &[(28, [11.0, 4.5, 0.0]), (28, [7.0, 1.5, 0.0]), (28, [2.5, 0.5, 0.0])],
+        line: &[(28, [11.0, 4.5]), (28, [7.0, 1.5]), (28, [2.5, 0.5])],
         depth: [0.35, 0.5],
         width: 1.0,
         bulge: 0.5,
@@ -177,12 +162,7 @@ static FOLDS: [Fold; 22] = [
     },
     // Across the forehead: the middle by raising the inner brow, the sides by raising the outer.
     Fold {
-        line: &[
-            (24, [-2.0, 11.0, 0.0]),
-            (23, [0.0, 13.0, 0.0]),
-            (22, [-3.0, 12.5, 0.0]),
-            (27, [-1.0, 31.0, 0.0]),
-        ],
+        line: &[(24, [-2.0, 11.0]), (23, [0.0, 13.0]), (22, [-3.0, 12.5]), (27, [-1.0, 31.0])],
         depth: [0.25, 0.6],
         width: 1.7,
         bulge: 0.5,
@@ -191,12 +171,7 @@ static FOLDS: [Fold; 22] = [
         units: &[(1, 0.8), (2, 0.5)],
     },
     Fold {
-        line: &[
-            (24, [2.0, 19.0, 0.0]),
-            (23, [2.0, 21.5, 0.0]),
-            (22, [0.0, 21.5, 0.0]),
-            (27, [-1.0, 40.5, 0.0]),
-        ],
+        line: &[(24, [2.0, 19.0]), (23, [2.0, 21.5]), (22, [0.0, 21.5]), (27, [-1.0, 40.5])],
         depth: [0.28, 0.65],
         width: 1.7,
         bulge: 0.5,
@@ -205,12 +180,7 @@ static FOLDS: [Fold; 22] = [
         units: &[(1, 0.8), (2, 0.5)],
     },
     Fold {
-        line: &[
-            (24, [4.0, 27.5, 0.0]),
-            (23, [2.0, 30.5, 0.0]),
-            (22, [0.0, 30.0, 0.0]),
-            (27, [-1.0, 49.0, 0.0]),
-        ],
+        line: &[(24, [4.0, 27.5]), (23, [2.0, 30.5]), (22, [0.0, 30.0]), (27, [-1.0, 49.0])],
         depth: [0.22, 0.6],
         width: 1.7,
         bulge: 0.5,
@@ -219,12 +189,7 @@ static FOLDS: [Fold; 22] = [
         units: &[(1, 0.7), (2, 0.5)],
     },
     Fold {
-        line: &[
-            (26, [0.0, 14.0, 0.0]),
-            (25, [1.0, 13.5, 0.0]),
-            (24, [3.0, 13.5, 0.0]),
-            (23, [4.0, 16.0, 0.0]),
-        ],
+        line: &[(26, [0.0, 14.0]), (25, [1.0, 13.5]), (24, [3.0, 13.5]), (23, [4.0, 16.0])],
         depth: [0.22, 0.55],
         width: 1.6,
         bulge: 0.5,
@@ -233,7 +198,7 @@ static FOLDS: [Fold; 22] = [
         units: &[(2, 1.0)],
     },
     Fold {
-        line: &[(26, [0.0, 23.0, 0.0]), (25, [1.0, 22.0, 0.0]), (24, [4.0, 22.5, 0.0])],
+        line: &[(26, [0.0, 23.0]), (25, [1.0, 22.0]), (24, [4.0, 22.5])],
         depth: [0.20, 0.5],
         width: 1.6,
         bulge: 0.5,
@@ -243,7 +208,7 @@ static FOLDS: [Fold; 22] = [
     },
     // The dimple.
     Fold {
-        line: &[(54, [5.0, -4.5, 0.0]), (54, [6.0, 0.5, 0.0]), (54, [4.5, 5.0, 0.0])],
+        line: &[(54, [5.0, -4.5]), (54, [6.0, 0.5]), (54, [4.5, 5.0])],
         depth: [0.6, 0.8],
         width: 1.6,
         bulge: 0.45,
@@ -253,7 +218,7 @@ static FOLDS: [Fold; 22] = [
     },
     // From the corner of the mouth down.
     Fold {
-        line: &[(54, [5.0, -17.0, 0.0]), (54, [3.5, -10.0, 0.0]), (54, [1.0, -3.0, 0.0])],
+        line: &[(54, [5.0, -17.0]), (54, [3.5, -10.0]), (54, [1.0, -3.0])],
         depth: [0.35, 0.8],
         width: 1.8,
         bulge: 0.5,
@@ -263,7 +228,7 @@ static FOLDS: [Fold; 22] = [
     },
     // Between the lower lip and the chin.
     Fold {
-        line: &[(57, [18.0, -3.5, 0.0]), (57, [10.0, -6.0, 0.0]), (57, [-1.0, -6.5, 0.0])],
+        line: &[(57, [18.0, -3.5]), (57, [10.0, -6.0]), (57, [-1.0, -6.5])],
         depth: [0.5, 0.7],
         width: 2.2,
         bulge: 0.3,
@@ -273,7 +238,7 @@ static FOLDS: [Fold; 22] = [
     },
     // Lines of the upper lip, which pressed lips fold.
     Fold {
-        line: &[(53, [-3.0, 8.5, 0.0]), (53, [-2.6, 3.0, 0.0])],
+        line: &[(53, [-3.0, 8.5]), (53, [-2.6, 3.0])],
         depth: [0.10, 0.35],
         width: 0.9,
         bulge: 0.3,
@@ -303,8 +268,8 @@ pub(super) struct Strengths(Vec<Strength>);
 #[derive(Debug, Clone)]
 struct Strength {
     at_rest: f32,
-    /// For each unit the strength at full intensity, and the intensity as a sum of expressions.
-    units: Vec<(f32, Vec<(usize, f32)>)>,
+    /// For each unit the strength at full intensity, and the intensity.
+    units: Vec<(f32, Intensity)>,
 }
 
 impl Strengths {
@@ -314,7 +279,7 @@ impl Strengths {
             units: fold
                 .units
                 .iter()
-                .filter_map(|&(number, most)| Some((most, intensity(model, number, side)?)))
+                .filter_map(|&(number, most)| Some((most, Intensity::of(model, number, side)?)))
                 .collect(),
         };
         let both = [Side::Left, Side::Right];
@@ -323,13 +288,8 @@ impl Strengths {
 
     /// With these weights of the model's expressions.
     pub fn at(&self, expressions: &[f32]) -> Vec<f32> {
-        let weight =
-            |&(expression, share): &(usize, f32)| share * expressions.get(expression).unwrap_or(&0.0);
         let of = |strength: &Strength| {
-            let units = strength
-                .units
-                .iter()
-                .map(|(most, intensity)| most * intensity.iter().map(weight).sum::<f32>().clamp(0.0, 1.0));
+            let units = strength.units.iter().map(|(most, intensity)| most * intensity.at(expressions));
             strength.at_rest + units.sum::<f32>()
         };
         self.0.iter().map(|strength| of(strength).min(1.3)).collect()
@@ -337,11 +297,24 @@ impl Strengths {
 }
 
 /// The intensity of an action unit on one half of the face as a sum of expressions: the least-squares fit to their weights.
-pub(super) fn intensity(model: &HeadModel, number: u8, side: Side) -> Option<Vec<(usize, f32)>> {
-    let unit = |side| model.action_units.iter().find(|unit| unit.number == number && unit.side == side);
-    let unit = unit(side).or_else(|| unit(Side::Both))?;
-    let squares: f32 = unit.expressions.iter().map(|(_, weight)| weight * weight).sum();
-    (squares > 0.0).then(|| unit.expressions.iter().map(|&(at, weight)| (at, weight / squares)).collect())
+#[derive(Debug, Clone)]
+pub(super) struct Intensity(Vec<(usize, f32)>);
+
+impl Intensity {
+    /// `None` where the model lacks the unit, or moves joints alone in it.
+    pub fn of(model: &HeadModel, number: u8, side: Side) -> Option<Self> {
+        let unit = |side| model.action_units.iter().find(|unit| unit.number == number && unit.side == side);
+        let unit = unit(side).or_else(|| unit(Side::Both))?;
+        let squares: f32 = unit.expressions.iter().map(|(_, weight)| weight * weight).sum();
+        (squares > 0.0)
+            .then(|| Self(unit.expressions.iter().map(|&(at, weight)| (at, weight / squares)).collect()))
+    }
+
+    /// With these weights of the model's expressions, 0 to 1.
+    pub fn at(&self, expressions: &[f32]) -> f32 {
+        let terms = self.0.iter().map(|&(at, share)| share * expressions.get(at).unwrap_or(&0.0));
+        terms.sum::<f32>().clamp(0.0, 1.0)
+    }
 }
 
 /// Smaller slopes are left out.
@@ -392,9 +365,9 @@ impl Line {
         let knots: Vec<Vec3> = fold
             .line
             .iter()
-            .map(|&(landmark, [x, y, z])| {
+            .map(|&(landmark, [x, y])| {
                 let landmark = if mirrored { mirror(landmark) } else { landmark };
-                surface.landmarks[landmark] + Vec3::new(outward * x, y, z) * (MM * surface.size)
+                surface.landmarks[landmark] + Vec3::new(outward * x, y, 0.0) * (MM * surface.size)
             })
             .collect();
         let reach = 0.03 * surface.size;

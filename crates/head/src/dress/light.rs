@@ -96,6 +96,18 @@ impl Material {
     }
 }
 
+/// Regions that light falls on and that keep it from others.
+pub(super) const OPAQUE: [Region; 8] = [
+    Region::Skin,
+    Region::Scalp,
+    Region::Lips,
+    Region::Brow,
+    Region::LidMargin,
+    Region::InnerLid,
+    Region::Neck,
+    Region::Eyeball,
+];
+
 /// The exposure, without smoothing, of the `wanted` vertices of a head whose vertices are `vertices`; zero for the others and those that are
 /// not lit.
 pub(super) fn bake(
@@ -104,27 +116,14 @@ pub(super) fn bake(
     normals: &[Vec3],
     wanted: impl Fn(usize) -> bool + Sync,
 ) -> Vec<Exposure> {
-    let opaque = surface.triangles_of(&[
-        Region::Skin,
-        Region::Scalp,
-        Region::Lips,
-        Region::Brow,
-        Region::LidMargin,
-        Region::InnerLid,
-        Region::Neck,
-        Region::Eyeball,
-    ]);
-    let corners = |t: u32| surface.model.triangles[t as usize].map(|v| vertices[v as usize]);
-    let occluder = Occluder::new(opaque.iter().map(|&t| corners(t)));
-    let mut lit = vec![false; vertices.len()];
-    for v in opaque.iter().flat_map(|&t| surface.model.triangles[t as usize]) {
-        lit[v as usize] = true;
-    }
+    let corners = |t: &u32| surface.model.triangles[*t as usize].map(|v| vertices[v as usize]);
+    let occluder = Occluder::new(surface.triangles_of(&OPAQUE).iter().map(corners));
+    let lit = surface.corners_of(&OPAQUE);
     let rays = Rays::new();
     (0..vertices.len())
         .into_par_iter()
         .map(|v| match lit[v] && wanted(v) {
-            true => rays.exposure(&occluder, vertices[v], normals[v], surface.size),
+            true => rays.past(&occluder, vertices[v], normals[v], surface.size),
             false => Exposure::default(),
         })
         .collect()
@@ -138,16 +137,10 @@ pub(super) fn through_hair(
 ) -> Vec<Exposure> {
     let rays = Rays::new();
     let at = |v: usize| {
-        let (p, normal) = (surface.vertices[v], surface.normals[v]);
-        let (right, up) = normal.any_orthonormal_pair();
-        let mean = |directions: &[Vec3], world: &dyn Fn(Vec3) -> Vec3| {
-            directions.iter().map(|&d| hair(p, world(d))).sum::<f32>() / directions.len() as f32
-        };
-        Exposure {
-            sky: mean(&rays.sky, &|d| right * d.x + up * d.y + normal * d.z),
-            key: mean(&rays.key, &|d| d),
-            fill: mean(&rays.fill, &|d| d),
-        }
+        rays.exposure(surface.normals[v], |directions| {
+            let count = directions.len() as f32;
+            directions.map(|direction| hair(surface.vertices[v], direction)).sum::<f32>() / count
+        })
     };
     let clear = Exposure { sky: 1.0, key: 1.0, fill: 1.0 };
     let mut light: Vec<Exposure> =
@@ -179,19 +172,28 @@ impl Rays {
         }
     }
 
-    fn exposure(&self, occluder: &Occluder, p: Vec3, normal: Vec3, size: f32) -> Exposure {
-        let (right, up) = normal.any_orthonormal_pair();
+    /// The exposure of a point with this normal past an occluder.
+    fn past(&self, occluder: &Occluder, p: Vec3, normal: Vec3, size: f32) -> Exposure {
         // Offset from the surface, so that a coarse mesh does not shade itself.
         let origin = p + normal * (0.0007 * size);
         let reach = 0.18 * size;
-        let seen = |rays: &[Vec3], world: &dyn Fn(Vec3) -> Vec3| {
-            let blocked = occluder.blocked(origin, rays.iter().map(|&d| world(d)), reach);
-            (rays.len() - blocked as usize) as f32 / rays.len() as f32
-        };
+        self.exposure(normal, |directions| {
+            let count = directions.len();
+            (count - occluder.blocked(origin, directions, reach) as usize) as f32 / count as f32
+        })
+    }
+
+    /// The exposure of a point with this normal, where `seen` is the part of the rays in some directions that reach it.
+    fn exposure(
+        &self,
+        normal: Vec3,
+        seen: impl Fn(&mut dyn ExactSizeIterator<Item = Vec3>) -> f32,
+    ) -> Exposure {
+        let (right, up) = normal.any_orthonormal_pair();
         Exposure {
-            sky: seen(&self.sky, &|d| right * d.x + up * d.y + normal * d.z),
-            key: seen(&self.key, &|d| d),
-            fill: seen(&self.fill, &|d| d),
+            sky: seen(&mut self.sky.iter().map(|d| right * d.x + up * d.y + normal * d.z)),
+            key: seen(&mut self.key.iter().copied()),
+            fill: seen(&mut self.fill.iter().copied()),
         }
     }
 }
@@ -209,20 +211,14 @@ fn spiral(count: usize) -> impl Iterator<Item = [f32; 3]> {
 /// The colour, sRGB in `0..=1`, of a material with this normal and exposure, seen from the front.
 pub(super) fn shade(material: &Material, normal: Vec3, exposure: &Exposure) -> Vec3 {
     let (key, fill) = (KEY_DIRECTION.normalize(), FILL_DIRECTION.normalize());
-    // The little light that reaches a crease was reflected by skin before, which absorbs blue.
-    let sky_seen = Vec3::new(libm::powf(exposure.sky, 0.75), exposure.sky, libm::powf(exposure.sky, 1.15));
-    let sky = GROUND_COLOR.lerp(SKY_COLOR, normal.y * 0.5 + 0.5) * sky_seen;
-    let shadow = |seen: f32| Vec3::new(libm::powf(seen, 0.8), seen, libm::powf(seen, 1.08));
-    let diffuse = sky
-        + KEY_COLOR * shadow(exposure.key) * lambert(normal.dot(key), material.wrap)
-        + FILL_COLOR * shadow(exposure.fill) * lambert(normal.dot(fill), material.wrap);
+    let diffuse = Lit::of(exposure).diffuse(normal, material.wrap);
     let sheen = material.sheen
         * (exposure.key * gloss(normal, key, material.gloss)
             + 0.35 * exposure.fill * gloss(normal, fill, material.gloss));
     srgb_from_linear(material.albedo * diffuse * 1.12 + Vec3::splat(sheen))
 }
 
-/// Light that reaches a point of the skin from each direction, after shadows: what [`shade`] derives from an exposure.
+/// Light that reaches a point from each direction, after shadows.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Lit {
     sky: Vec3,
@@ -232,12 +228,13 @@ pub(super) struct Lit {
 }
 
 /// Skin: how far light wraps around, by channel, and the strength of its reflection; its exponent is 16.
-const SKIN_WRAP: Vec3 = Vec3::new(0.36, 0.16, 0.09);
+pub(super) const SKIN_WRAP: Vec3 = Vec3::new(0.36, 0.16, 0.09);
 const SKIN_SHEEN: f32 = 0.05;
 
 impl Lit {
     pub fn of(exposure: &Exposure) -> Self {
         let sky = exposure.sky;
+        // The little light that reaches a crease was reflected by skin before, which absorbs blue.
         let shadow = |seen: f32| Vec3::new(libm::powf(seen, 0.8), seen, libm::powf(seen, 1.08));
         Self {
             sky: Vec3::new(libm::powf(sky, 0.75), sky, libm::powf(sky, 1.15)),
@@ -266,19 +263,23 @@ impl Lit {
         Self { sky: self.sky * s, key: self.key * s, fill: self.fill * s, exposure: self.exposure * s }
     }
 
+    /// The part that a surface with this normal scatters, per reflectance.
+    fn diffuse(&self, normal: Vec3, wrap: Vec3) -> Vec3 {
+        let (key, fill) = (KEY_DIRECTION.normalize(), FILL_DIRECTION.normalize());
+        GROUND_COLOR.lerp(SKY_COLOR, normal.y * 0.5 + 0.5) * self.sky
+            + self.key * lambert(normal.dot(key), wrap)
+            + self.fill * lambert(normal.dot(fill), wrap)
+    }
+
     /// Linear light from skin of this reflectance and normal, seen from the front.
     pub fn on(&self, normal: Vec3, albedo: Vec3) -> Vec3 {
         let (key, fill) = (KEY_DIRECTION.normalize(), FILL_DIRECTION.normalize());
-        let sky = GROUND_COLOR.lerp(SKY_COLOR, normal.y * 0.5 + 0.5) * self.sky;
-        let diffuse = sky
-            + self.key * lambert(normal.dot(key), SKIN_WRAP)
-            + self.fill * lambert(normal.dot(fill), SKIN_WRAP);
         let gloss = |light: Vec3| {
             let cosine = normal.dot((light + Vec3::Z).normalize()).max(0.0);
             [(); 4].iter().fold(cosine, |power, ()| power * power)
         };
         let sheen = SKIN_SHEEN * (self.exposure.key * gloss(key) + 0.35 * self.exposure.fill * gloss(fill));
-        albedo * diffuse * 1.12 + Vec3::splat(sheen.max(1e-3))
+        albedo * self.diffuse(normal, SKIN_WRAP) * 1.12 + Vec3::splat(sheen.max(1e-3))
     }
 }
 

@@ -120,10 +120,7 @@ impl Dressing<'_> {
     /// Takes the light away that `hair` keeps from the face.
     fn shade_by(&mut self, hair: &[(u32, Splat)]) {
         let shadow = HairShadow::new(hair, self.surface.size);
-        let mut is_skin = vec![false; self.surface.vertices.len()];
-        for t in self.surface.triangles_of(&skin::SKIN) {
-            self.surface.model.triangles[t as usize].iter().for_each(|v| is_skin[*v as usize] = true);
-        }
+        let is_skin = self.surface.corners_of(&skin::SKIN);
         let light =
             light::through_hair(self.surface, |p, direction| shadow.light(p, direction), |v| is_skin[v]);
         for (exposure, light) in self.exposures.iter_mut().zip(light) {

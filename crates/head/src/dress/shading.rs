@@ -2,13 +2,13 @@
 
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
-use srflow_splat::{Gaussians, SH_0};
+use srflow_splat::{Gaussians, scale_colour};
 
-use super::folds::intensity;
-use super::folds::{Crease, Strengths, creases};
-use super::light::{Exposure, Lit, bake};
+use super::folds::{Crease, Intensity, Strengths, creases};
+use super::light::{Exposure, Lit, OPAQUE, bake};
+use super::surface::unit_normals;
 use super::{Dressing, Splat};
-use crate::{HeadModel, HeadPose, Region, ShapedHead, Side, TriangleFrame, vertex_normals};
+use crate::{HeadModel, HeadPose, ShapedHead, Side, TriangleFrame};
 
 /// How the colours of a head's Gaussians change as it moves in light that stands still. The head's shadows on itself are those at rest, and what
 /// some action units change of them.
@@ -35,8 +35,8 @@ pub struct Shading {
 /// What an action unit changes of the exposure of vertices.
 #[derive(Debug, Clone)]
 struct Shadows {
-    /// The unit's intensity on the left and the right half as a sum of expressions.
-    intensities: [Vec<(usize, f32)>; 2],
+    /// The unit's intensity on the left and the right half.
+    intensities: [Intensity; 2],
     /// Vertices, whether each is on the right half, and the change at full intensity.
     changes: Vec<(u32, bool, Exposure)>,
 }
@@ -58,16 +58,10 @@ impl Shading {
     pub(super) fn new(dressing: &Dressing, shaped: &ShapedHead) -> Self {
         let surface = dressing.surface;
         let (creases, strengths) = creases(dressing, dressing.lit);
-        let mut is_lit = vec![false; surface.vertices.len()];
-        for (triangle, region) in surface.model.triangles.iter().zip(&surface.model.regions) {
-            if !matches!(region, Region::Teeth | Region::MouthInside | Region::Clear) {
-                triangle.iter().for_each(|v| is_lit[*v as usize] = true);
-            }
-        }
         let lit: Vec<Option<Lit>> = dressing
             .exposures
             .iter()
-            .zip(is_lit)
+            .zip(surface.corners_of(&OPAQUE))
             .map(|(exposure, is_lit)| is_lit.then(|| Lit::of(exposure)))
             .collect();
         let albedo = dressing.appearance.skin;
@@ -93,14 +87,10 @@ impl Shading {
 
     /// Light that reaches the vertices with these weights of expressions.
     fn lit(&self, expressions: &[f32]) -> std::borrow::Cow<'_, [Option<Lit>]> {
-        let of = |intensity: &[(usize, f32)]| {
-            let terms = intensity.iter().map(|&(at, share)| share * expressions.get(at).unwrap_or(&0.0));
-            terms.sum::<f32>().clamp(0.0, 1.0)
-        };
         let shown: Vec<(&Shadows, [f32; 2])> = self
             .shadows
             .iter()
-            .map(|shadows| (shadows, [of(&shadows.intensities[0]), of(&shadows.intensities[1])]))
+            .map(|shadows| (shadows, shadows.intensities.each_ref().map(|half| half.at(expressions))))
             .filter(|(_, sides)| *sides != [0.0; 2])
             .collect();
         if shown.is_empty() {
@@ -130,11 +120,7 @@ impl Shading {
         frames: &[TriangleFrame],
         gaussians: &mut Gaussians,
     ) {
-        let normals: Vec<Vec3> = vertex_normals(vertices, &model.triangles)
-            .into_par_iter()
-            .with_min_len(CHUNK)
-            .map(|normal| normal.normalize_or(Vec3::Y))
-            .collect();
+        let normals = unit_normals(vertices, model);
         let lit = self.lit(&pose.expressions);
         let factors: Vec<Vec3> = (0..normals.len())
             .into_par_iter()
@@ -181,14 +167,8 @@ impl Shading {
                             factor *= coded(light * groove);
                         }
                     }
-                    for (number, coefficient) in colour.iter_mut().enumerate() {
-                        for (value, factor) in coefficient.iter_mut().zip(factor.to_array()) {
-                            // The colour is 0.5 and the sum of the terms; sRGB's curve is a power of the colour and 0.055.
-                            let constant =
-                                if number == 0 { 0.555 * (factor - 1.0) / SH_0 as f32 } else { 0.0 };
-                            *value = *value * factor + constant;
-                        }
-                    }
+                    // sRGB's curve is a power of the colour and 0.055.
+                    scale_colour(colour, factor.to_array(), 0.555);
                 }
             },
         );
@@ -200,15 +180,13 @@ impl Shadows {
     fn new(dressing: &Dressing, shaped: &ShapedHead, number: u8) -> Option<Self> {
         let surface = dressing.surface;
         let model = surface.model;
-        let intensities = [intensity(model, number, Side::Left)?, intensity(model, number, Side::Right)?];
+        let half = |side| Intensity::of(model, number, side);
+        let intensities = [half(Side::Left)?, half(Side::Right)?];
         let mut pose = model.pose_of_action_units(&[(number, Side::Both, 1.0)]).ok()?;
         pose.joints.clear();
         let mut vertices = Vec::new();
         model.vertices(shaped, &pose, &mut vertices);
-        let normals: Vec<Vec3> = vertex_normals(&vertices, &model.triangles)
-            .into_iter()
-            .map(|normal| normal.normalize_or(Vec3::Y))
-            .collect();
+        let normals = unit_normals(&vertices, model);
         let moved = |v: usize| vertices[v].distance(surface.vertices[v]) > MOVED * surface.size;
         let after = bake(surface, &vertices, &normals, moved);
         let change = |v: usize| match moved(v) {

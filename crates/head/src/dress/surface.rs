@@ -3,9 +3,10 @@
 use std::collections::HashMap;
 
 use glam::{IVec3, Quat, Vec3};
+use rayon::prelude::*;
 use srflow_core::random::Stream;
 
-use crate::{HeadModel, Region, ShapedHead, TriangleFrame};
+use crate::{HeadModel, Region, ShapedHead, TriangleFrame, vertex_normals};
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SurfacePoint {
@@ -41,16 +42,6 @@ impl<'a> Surface<'a> {
     pub fn new(model: &'a HeadModel, shaped: &'a ShapedHead) -> Self {
         let vertices = &shaped.vertices;
         let corners = |t: &[u32; 3]| t.map(|v| vertices[v as usize]);
-        let mut normals = vec![Vec3::ZERO; vertices.len()];
-        for triangle in &model.triangles {
-            let [a, b, c] = corners(triangle);
-            for v in triangle {
-                normals[*v as usize] += (b - a).cross(c - a);
-            }
-        }
-        for normal in &mut normals {
-            *normal = normal.normalize_or(Vec3::Y);
-        }
         let frames: Vec<TriangleFrame> = model
             .triangles
             .iter()
@@ -68,7 +59,7 @@ impl<'a> Surface<'a> {
             model,
             vertices,
             eyes,
-            normals,
+            normals: unit_normals(vertices, model),
             radii: radii.collect(),
             frames,
             landmarks: model.landmarks_on(vertices).collect(),
@@ -84,6 +75,15 @@ impl<'a> Surface<'a> {
     pub fn triangles_of(&self, regions: &[Region]) -> Vec<u32> {
         let numbers = 0..self.model.triangles.len() as u32;
         numbers.filter(|&t| regions.contains(&self.model.regions[t as usize])).collect()
+    }
+
+    /// Whether each vertex is a corner of a triangle of these regions.
+    pub fn corners_of(&self, regions: &[Region]) -> Vec<bool> {
+        let mut inside = vec![false; self.vertices.len()];
+        for t in self.triangles_of(regions) {
+            self.model.triangles[t as usize].iter().for_each(|v| inside[*v as usize] = true);
+        }
+        inside
     }
 
     pub fn point(&self, triangle: u32, weights: Vec3) -> SurfacePoint {
@@ -233,6 +233,15 @@ impl<'a> Surface<'a> {
             }
         }
     }
+}
+
+/// A normal of each vertex of `model` where its vertices are these, of unit length.
+pub(super) fn unit_normals(vertices: &[Vec3], model: &HeadModel) -> Vec<Vec3> {
+    vertex_normals(vertices, &model.triangles)
+        .into_par_iter()
+        .with_min_len(4096)
+        .map(|normal| normal.normalize_or(Vec3::Y))
+        .collect()
 }
 
 /// Points by grid cell.

@@ -4,7 +4,7 @@ use glam::Vec3;
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::{Key, Stream};
 use srflow_head::vertex_normals;
-use srflow_splat::{Gaussians, SH_0};
+use srflow_splat::{Gaussians, scale_colour};
 
 use crate::recording::coded;
 
@@ -70,13 +70,7 @@ impl Lamps {
         let triangles = avatar.bound().triangles();
         for (sh, &triangle) in gaussians.sh.chunks_mut(coefficients).zip(triangles) {
             let Some(light) = lights.get(triangle as usize) else { continue };
-            for (number, coefficient) in sh.iter_mut().enumerate() {
-                for (value, light) in coefficient.iter_mut().zip(light) {
-                    // The colour is 0.5 and the sum of the terms.
-                    let constant = if number == 0 { 0.5 * (light - 1.0) / SH_0 as f32 } else { 0.0 };
-                    *value = *value * light + constant;
-                }
-            }
+            scale_colour(sh, *light, 0.5);
         }
     }
 }
@@ -105,6 +99,7 @@ fn normals(avatar: &Avatar, head: &PosedHead) -> Vec<Vec3> {
 #[cfg(test)]
 mod tests {
     use srflow_head::HeadPose;
+    use srflow_splat::SH_0;
 
     use super::*;
 

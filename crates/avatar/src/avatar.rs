@@ -161,6 +161,11 @@ impl Avatar {
         &self.gaussians
     }
 
+    /// How the colours of the Gaussians change with the pose; `None` where they do not.
+    pub fn shading(&self) -> Option<&Shading> {
+        self.shading.as_ref()
+    }
+
     pub(crate) fn bound_mut(&mut self) -> &mut BoundGaussians {
         &mut self.gaussians
     }

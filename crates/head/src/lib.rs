@@ -28,7 +28,7 @@ mod unit_fit;
 mod unit_name;
 mod unit_table;
 
-pub use dress::{Dress, Shading, Splat, dress};
+pub use dress::{Crease, Dress, Shading, ShadingFacts, ShadingTables, Splat, dress};
 pub use error::HeadError;
 pub use head_model::{
     ActionUnit, HeadGradient, HeadModel, HeadModelError, HeadPoints, HeadPose, HeadState, Joint, JointRole,

@@ -5,6 +5,7 @@ class SplatPage {
     this.pack = pack;
     const { arrays } = pack;
     this.head = pack.head ? new Head(pack.head, arrays) : null;
+    this.shading = pack.head?.shading ? new Shading(pack.head.shading, arrays, this.head) : null;
     this.triangles = this.head ? arrays.triangles.length / 3 : 1;
     this.now = new Float32Array(8 * this.triangles);
     this.next = new Float32Array(8 * this.triangles);
@@ -158,11 +159,12 @@ class SplatPage {
       for (const frames of [this.now, this.next]) frames.set([0, 0, 0, 1, 0, 0, 0, 1]);
       return 1;
     }
-    head.pose(this.poseAt(state.t), this.now);
-    const before = head.vertices.slice();
+    this.pose = this.poseAt(state.t);
+    head.pose(this.pose, this.now);
+    this.before = head.vertices.slice();
     const later = Math.min(state.t + 1, Math.max(head.timesteps - 1, 0));
     head.pose(state.to === "rest" ? head.restPose() : this.poseAt(later), this.next);
-    return longestFlow(before, head.vertices, camera);
+    return longestFlow(this.before, head.vertices, camera);
   }
 
   /** Draws as soon as what is being drawn is done. `settled` is kept when the picture shows the state. */
@@ -186,7 +188,9 @@ class SplatPage {
     const camera = this.camera.at(...this.size());
     const moving = this.move(camera);
     this.splats.setFrames(this.now, this.next);
-    this.splats.setOrder(await this.splats.sort(this.now, camera));
+    const order = this.splats.sort(this.now, camera);
+    if (this.shading) this.splats.setFactors(this.shading.factors(this.pose, this.before, this.now));
+    this.splats.setOrder(await order);
     const { state } = this;
     const longest = state.full > 0 ? state.full : moving;
     const near = this.camera.distance - this.pack.surroundings.radius;

@@ -9,6 +9,7 @@ precision highp int;
 uniform highp sampler2D gaussians; // position and opacity; scale and triangle; rotation
 uniform highp sampler2D colors;
 uniform highp isampler2D harmonics;
+uniform highp sampler2D factors; // of the light on each Gaussian
 uniform highp sampler2D frames; // origin and scale of a triangle; rotation
 uniform highp sampler2D framesNext;
 uniform vec4 row0, row1, row2; // camera from world
@@ -16,7 +17,7 @@ uniform vec3 eye;
 uniform vec2 focal, centre, size;
 uniform float range; // of the harmonics above degree 0
 uniform int degree;
-uniform bool antialiased;
+uniform bool antialiased, shaded;
 layout(location = 0) in uint order;
 flat out vec4 conic; // xx, xy, yy, opacity
 flat out vec3 color;
@@ -34,7 +35,7 @@ vec3 onTriangle(highp sampler2D data, int triangle, vec3 local) {
 
 vec3 seenFrom(int gaussian, vec3 d) {
   vec3 sum = vec3(0.5) + 0.28209479177387814 * at(colors, gaussian).rgb;
-  if (degree == 0) return max(sum, 0.0);
+  if (degree == 0) return sum;
   int count = (degree + 1) * (degree + 1) - 1;
   float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
   float basis[15] = float[15](
@@ -49,7 +50,7 @@ vec3 seenFrom(int gaussian, vec3 d) {
     vec3 coefficient = vec3(texelFetch(harmonics, ivec2(n % ${TEXELS}, n / ${TEXELS}), 0).rgb) * (range / 127.0);
     sum += basis[k] * coefficient;
   }
-  return max(sum, 0.0);
+  return sum;
 }
 
 void main() {
@@ -82,6 +83,8 @@ void main() {
   if (!(reach > 0.0)) return;
   conic = vec4(yy / determinant, -xy / determinant, xx / determinant, opacity);
   color = seenFrom(gaussian, normalize(world - eye));
+  if (shaded) color = at(factors, gaussian).rgb * (color + 0.055) - 0.055;
+  color = max(color, 0.0);
 
   vec2 pixel = focal * p.xy / p.z + centre;
   motion = vec3(0.0, 0.0, p.z);
@@ -193,6 +196,8 @@ class SplatCanvas {
       arrows: program(gl, ARROW, INK),
     };
     this.frames = [this.dataTexture(), this.dataTexture()];
+    this.factors = this.dataTexture();
+    this.shaded = false;
     this.uploadGaussians(arrays);
     this.order = gl.createBuffer();
     this.vertices = gl.createVertexArray();
@@ -251,6 +256,13 @@ class SplatCanvas {
   setFrames(now, next) {
     const { gl } = this;
     [now, next].forEach((frames, i) => this.upload(this.frames[i], gl.RGBA32F, gl.RGBA, gl.FLOAT, frames));
+  }
+
+  /** The factors of the light on the Gaussians, four numbers each. */
+  setFactors(factors) {
+    const { gl } = this;
+    this.shaded = true;
+    this.upload(this.factors, gl.RGBA32F, gl.RGBA, gl.FLOAT, factors);
   }
 
   /** The order of the Gaussians in these frames from a camera. */
@@ -323,8 +335,8 @@ class SplatCanvas {
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
     const [frames, framesNext] = this.frames;
-    const { gaussians, colors, harmonics } = this;
-    const splats = this.use(this.programs.splats, { gaussians, colors, harmonics, frames, framesNext });
+    const { gaussians, colors, harmonics, factors } = this;
+    const splats = this.use(this.programs.splats, { gaussians, colors, harmonics, factors, frames, framesNext });
     camera.rows.forEach((row, i) => gl.uniform4fv(splats.uniform(`row${i}`), row));
     gl.uniform3fv(splats.uniform("eye"), camera.eye);
     gl.uniform2f(splats.uniform("focal"), camera.focal, camera.focal);
@@ -333,6 +345,7 @@ class SplatCanvas {
     gl.uniform1f(splats.uniform("range"), this.facts.sh_range);
     gl.uniform1i(splats.uniform("degree"), this.facts.sh_degree);
     gl.uniform1i(splats.uniform("antialiased"), this.facts.antialiased ? 1 : 0);
+    gl.uniform1i(splats.uniform("shaded"), this.shaded ? 1 : 0);
     gl.enable(gl.BLEND); // front to back: what is behind is seen through what is left
     gl.blendFunc(gl.ONE_MINUS_DST_ALPHA, gl.ONE);
     gl.bindVertexArray(this.vertices);

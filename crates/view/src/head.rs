@@ -3,7 +3,7 @@
 use glam::Vec3;
 use serde_json::{Value, json};
 use srflow_avatar::{Avatar, PosedHead};
-use srflow_head::{ActionUnit, HeadModel, HeadPose, Joint, Offsets, Side, unit_name};
+use srflow_head::{ActionUnit, HeadModel, HeadPose, Joint, Offsets, Shading, ShadingTables, Side, unit_name};
 use srflow_splat::Gaussians;
 
 use crate::pack::Pack;
@@ -26,6 +26,7 @@ pub fn avatar(title: &str, avatar: &Avatar, motion: &ViewedMotion) -> Result<Pac
     avatar.gaussians_into(motion.poses.first().unwrap_or(&HeadPose::default()), &mut head, &mut world);
     let joints =
         model.joints.iter().zip(&shaped.joints).map(|(joint, position)| joint_facts(joint, *position));
+    let shading = avatar.shading().map(Shading::tables);
     let mut pack = Pack::new(json!({
         "page": "splats",
         "title": title,
@@ -40,11 +41,15 @@ pub fn avatar(title: &str, avatar: &Avatar, motion: &ViewedMotion) -> Result<Pac
             "correctives": model.pose_correctives.iter().map(|corrective| corrective.joint).collect::<Vec<_>>(),
             "units": units(model),
             "frames_per_second": motion.frames_per_second,
+            "shading": shading.as_ref().map(|tables| &tables.facts),
         },
     }));
     add_gaussians(&mut pack, bound.local(), bound.triangles());
     add_model(&mut pack, model, &shaped.vertices);
     add_motion(&mut pack, model, motion);
+    if let Some(tables) = shading {
+        add_shading(&mut pack, &tables);
+    }
     Ok(pack)
 }
 
@@ -112,6 +117,22 @@ fn add_shapes(pack: &mut Pack, name: &str, shapes: impl Iterator<Item = impl Ite
     pack.add(format!("{name}_starts"), &starts);
     pack.add(format!("{name}_vertices"), &vertices);
     pack.add_halves(format!("{name}_offsets"), offsets);
+}
+
+fn add_shading(pack: &mut Pack, tables: &ShadingTables) {
+    pack.add_halves("exposures", tables.exposures.iter().flat_map(|exposure| exposure.to_array()));
+    add_shapes(pack, "shadow", tables.shadows.iter().map(|changes| changes.iter().copied()));
+    // The third coordinate is what is left of 1.
+    pack.add_halves("places", tables.places.iter().flat_map(|place| [place.x, place.y]));
+    let gaussians: Vec<u32> = tables.creases.iter().map(|crease| crease.gaussian).collect();
+    pack.add("crease_gaussians", &gaussians);
+    let folds: Vec<u32> = tables.creases.iter().map(|crease| crease.fold).collect();
+    pack.add("crease_folds", &folds);
+    let reliefs = tables
+        .creases
+        .iter()
+        .flat_map(|crease| [crease.slope.to_array().as_slice(), &[crease.cavity]].concat());
+    pack.add_halves("crease_reliefs", reliefs);
 }
 
 fn add_motion(pack: &mut Pack, model: &HeadModel, motion: &ViewedMotion) {

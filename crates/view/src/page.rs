@@ -7,12 +7,13 @@ use srflow_core::printable;
 use crate::pack::Pack;
 
 /// The scripts of a page, in an order in which what is used at once comes first.
-const SCRIPTS: [&str; 8] = [
+const SCRIPTS: [&str; 9] = [
     include_str!("../page/pack.js"),
     include_str!("../page/colors.js"),
     include_str!("../page/elements.js"),
     include_str!("../page/camera.js"),
     include_str!("../page/head.js"),
+    include_str!("../page/shading.js"),
     include_str!("../page/splats.js"),
     include_str!("../page/splat_page.js"),
     include_str!("../page/pairs_page.js"),

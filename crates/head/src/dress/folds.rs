@@ -2,6 +2,7 @@
 //! with a bulge on one side. They show in the light on the skin, and do not move it.
 
 use glam::Vec3;
+use serde::Serialize;
 
 use super::Dressing;
 use super::surface::Surface;
@@ -250,7 +251,7 @@ static FOLDS: [Fold; 22] = [
 
 /// The part of a fold that one Gaussian shows.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Crease {
+pub struct Crease {
     /// Number of the Gaussian.
     pub gaussian: u32,
     /// Number of the fold: those of the left half, then those of the right.
@@ -262,10 +263,10 @@ pub(super) struct Crease {
 }
 
 /// The strength of each fold in terms of a model's expressions.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 pub(super) struct Strengths(Vec<Strength>);
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 struct Strength {
     at_rest: f32,
     /// For each unit the strength at full intensity, and the intensity.
@@ -297,7 +298,7 @@ impl Strengths {
 }
 
 /// The intensity of an action unit on one half of the face as a sum of expressions: the least-squares fit to their weights.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 pub(super) struct Intensity(Vec<(usize, f32)>);
 
 impl Intensity {

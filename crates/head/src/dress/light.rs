@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
+use serde::Serialize;
 
 use super::occlusion::Occluder;
 use super::surface::Surface;
@@ -280,6 +281,34 @@ impl Lit {
         };
         let sheen = SKIN_SHEEN * (self.exposure.key * gloss(key) + 0.35 * self.exposure.fill * gloss(fill));
         albedo * self.diffuse(normal, SKIN_WRAP) * 1.12 + Vec3::splat(sheen.max(1e-3))
+    }
+}
+
+/// The lights, and how skin reflects them, as [`Lit::on`] computes with them.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct SkinLight {
+    key: [f32; 3],
+    key_color: [f32; 3],
+    fill: [f32; 3],
+    fill_color: [f32; 3],
+    ground_color: [f32; 3],
+    sky_color: [f32; 3],
+    wrap: [f32; 3],
+    sheen: f32,
+}
+
+impl SkinLight {
+    pub fn new() -> Self {
+        Self {
+            key: KEY_DIRECTION.normalize().to_array(),
+            key_color: KEY_COLOR.to_array(),
+            fill: FILL_DIRECTION.normalize().to_array(),
+            fill_color: FILL_COLOR.to_array(),
+            ground_color: GROUND_COLOR.to_array(),
+            sky_color: SKY_COLOR.to_array(),
+            wrap: SKIN_WRAP.to_array(),
+            sheen: SKIN_SHEEN,
+        }
     }
 }
 

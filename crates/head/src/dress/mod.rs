@@ -24,9 +24,10 @@ use srflow_core::random::{Key, Stream};
 use crate::model_source::landmark_file;
 use crate::{HeadError, HeadModel, Look, Region, ShapedHead};
 use appearance::Appearance;
+pub use folds::Crease;
 use hair_shadow::HairShadow;
 use light::Exposure;
-pub use shading::Shading;
+pub use shading::{Shading, ShadingFacts, ShadingTables};
 use surface::{Surface, SurfacePoint};
 
 /// One Gaussian in world units.

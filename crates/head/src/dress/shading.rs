@@ -2,10 +2,11 @@
 
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
+use serde::Serialize;
 use srflow_splat::{Gaussians, scale_colour};
 
 use super::folds::{Crease, Intensity, Strengths, creases};
-use super::light::{Exposure, Lit, OPAQUE, bake};
+use super::light::{Exposure, Lit, OPAQUE, SkinLight, bake};
 use super::surface::unit_normals;
 use super::{Dressing, Splat};
 use crate::{HeadModel, HeadPose, ShapedHead, Side, TriangleFrame};
@@ -111,6 +112,32 @@ impl Shading {
         lit.into()
     }
 
+    /// The numbers behind [`Shading::shade`].
+    pub fn tables(&self) -> ShadingTables<'_> {
+        let parts = |exposure: &Exposure| Vec3::new(exposure.sky, exposure.key, exposure.fill);
+        let exposures = self.exposures.iter().zip(&self.lit);
+        let half = |unit: &Shadows, right: bool| {
+            let changes = unit.changes.iter().filter(|change| change.1 == right);
+            changes.map(|(vertex, _, change)| (*vertex, parts(change))).collect()
+        };
+        ShadingTables {
+            facts: ShadingFacts {
+                light: SkinLight::new(),
+                albedo: self.albedo.to_array(),
+                shadows: self.shadows.iter().flat_map(|unit| &unit.intensities).collect(),
+                folds: &self.strengths,
+            },
+            exposures: exposures.map(|(exposure, lit)| lit.map_or(Vec3::NAN, |_| parts(exposure))).collect(),
+            shadows: self
+                .shadows
+                .iter()
+                .flat_map(|unit| [false, true].map(|right| half(unit, right)))
+                .collect(),
+            places: self.places.iter().map(|place| place.1).collect(),
+            creases: &self.creases,
+        }
+    }
+
     /// Shades the Gaussians of a head of `model` in `pose`, whose vertices and triangles are these.
     pub fn shade(
         &self,
@@ -173,6 +200,29 @@ impl Shading {
             },
         );
     }
+}
+
+/// What [`Shading`] computes with, for programs that compute it themselves.
+#[derive(Debug, Clone)]
+pub struct ShadingTables<'a> {
+    pub facts: ShadingFacts<'a>,
+    /// Part of the sky, the soft box and the fill light that reaches each vertex at rest, 0 to 1; NaN for vertices that are not lit.
+    pub exposures: Vec<Vec3>,
+    /// What each of `facts.shadows` changes of the exposures at full intensity: vertices and changes.
+    pub shadows: Vec<Vec<(u32, Vec3)>>,
+    /// Place of each Gaussian that changes, the first ones, on its triangle, in barycentric coordinates.
+    pub places: Vec<Vec3>,
+    pub creases: &'a [Crease],
+}
+
+/// The part of [`ShadingTables`] that is a few numbers.
+#[derive(Debug, Clone, Serialize)]
+pub struct ShadingFacts<'a> {
+    light: SkinLight,
+    albedo: [f32; 3],
+    /// Intensity of the units that change shadows, by unit, left before right.
+    shadows: Vec<&'a Intensity>,
+    folds: &'a Strengths,
 }
 
 impl Shadows {

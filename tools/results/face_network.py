@@ -1,7 +1,7 @@
 """How good a method is on faces: test sets of pairs, scores by region, strain, lattice and expression, with intervals.
 
     pip install numpy opencv-python-headless
-    python tools/results/face_network.py sets DIR [--ict FACEXMODEL] [--faces PHOTOGRAPH...] [--photographs PHOTOGRAPH...]
+    python tools/results/face_network.py sets DIR [--look 1] [--heads NAME=HEAD...] [--faces PHOTOGRAPH...] [--photographs PHOTOGRAPH...]
     python tools/results/face_network.py score DIR NAME -- --method srflow --iters 2
     python tools/results/face_network.py table DIR NAME... [--score head]
 
@@ -37,7 +37,7 @@ RENDERED = {
     "plain": ["--scenes", "6", "--frames", "3", "--size", "550x802", "--seed", "77002"],
     "wild-large": ["--preset", "wild", "--scenes", "4", "--frames", "2", "--size", "1100x1604", "--seed", "77003"],
 }
-ICT = ["--preset", "wild", "--scenes", "5", "--frames", "3", "--size", "550x802", "--seed", "77004"]
+HEADS = ["--preset", "wild", "--scenes", "5", "--frames", "3", "--size", "550x802", "--seed", "77004"]
 WEAK = {
     "weak-192": ["--side", "192", "--subjects", "8", "--clips", "3", "--seed", "77010"],
     "weak-512": ["--side", "512", "--subjects", "4", "--clips", "3", "--seed", "77011"],
@@ -119,12 +119,13 @@ def warped(folder, paths, drift_px, bumps_px, pairs):
 
 def sets(args):
     out, made = args.dir / "sets", args.dir / "made"
+    look = ["--look", args.look] if args.look else []
     for name, options in RENDERED.items():
-        rendered(out, made, name, options)
-    if args.ict:
-        rendered(out, made, "ict", ["--head", f"ict:{args.ict}", *ICT])
+        rendered(out, made, name, [*options, *look])
+    for name, head in (named.split("=", 1) for named in args.heads):
+        rendered(out, made, name, ["--head", head, *HEADS, *look])
     for name, options in WEAK.items():
-        weak(out, made, name, options)
+        weak(out, made, name, [*options, *look])
     for name, paths in (("faces", args.faces), ("photographs", args.photographs)):
         warped(out / name, paths, (0.05, 4.0), (0.1, 3.0), 3)
         warped(out / f"{name}-fast", paths, (8.0, 25.0), (1.0, 6.0), 2)
@@ -238,7 +239,8 @@ def main():
         command.set_defaults(does=does)
         command.add_argument("dir", type=Path)
         if does is sets:
-            command.add_argument("--ict", type=Path, help="FaceXModel with the identities that no training saw")
+            command.add_argument("--look", help="of the heads, as for `srflow render`")
+            command.add_argument("--heads", nargs="*", default=[], help="more heads, such as ict=ict:FACEXMODEL with identities that no training saw")
             command.add_argument("--faces", type=Path, nargs="*", default=[])
             command.add_argument("--photographs", type=Path, nargs="*", default=[])
         if does is score:

@@ -1430,6 +1430,8 @@ def mer_synth(
     noise: float = 1,
     drift: float = 1,
     lighting: float = 1,
+    blinks: float = 0,
+    glances: float = 0,
     head: str | Sequence[str] | None = None,
     look: int = 2,
     seed: int = 1,
@@ -1452,6 +1454,8 @@ def mer_synth(
         noise: Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness.
         drift: Head drift within a clip; 1 is up to 0.1 degrees and 0.15 mm to either side.
         lighting: Illumination changes; 1 is slow changes of up to 2 %, with a gradient over the face, and 0.3 % flicker at 100 Hz.
+        blinks: Blinks; 1 closes the lids every 1.6 to 5.5 seconds.
+        glances: Glances; 1 turns the eyes by up to 18 degrees.
         head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         seed: Random seed.

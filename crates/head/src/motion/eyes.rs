@@ -74,6 +74,13 @@ impl Gaze {
         Self { fixations }
     }
 
+    /// First and last second of every movement of the eyes.
+    pub fn shifts(&self) -> impl Iterator<Item = [f32; 2]> {
+        let before = std::iter::once([0.0; 2]).chain(self.fixations.iter().map(|fixation| fixation.gaze));
+        let moves = self.fixations.iter().zip(before).filter(|(fixation, before)| fixation.gaze != *before);
+        moves.map(|(fixation, _)| [fixation.start, fixation.start + GAZE_SHIFT_SECONDS])
+    }
+
     /// Of both eyes relative to the head, radians: to the subject's left and up.
     pub fn at(&self, time: f32) -> [f32; 2] {
         let mut gaze = [0.0; 2];

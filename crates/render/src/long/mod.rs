@@ -25,11 +25,11 @@ use srflow_files::write_atomically;
 
 pub use settings::LongSettings;
 pub(crate) use work::Videos;
-pub use work::{DISTURBANCES_NAME, EVENTS_NAME, PIECE};
+pub use work::{EVENTS_NAME, PIECE};
 
 use crate::RenderError;
 use crate::job::{self, Request};
-use crate::synth::{LANDMARKS_NAME, write_landmarks};
+use crate::synth::{DISTURBANCES_NAME, LANDMARKS_NAME, write_landmarks};
 use timeline::Video;
 
 /// The result of [`record`].

@@ -11,8 +11,8 @@ use super::settings::LongSettings;
 use super::timeline::Video;
 use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, remove};
 use crate::record::json_text;
-use crate::synth::LANDMARKS_NAME;
 use crate::synth::portrait::BACKDROP;
+use crate::synth::{DISTURBANCES_NAME, LANDMARKS_NAME};
 use crate::{RenderError, head};
 
 /// Name of the file with the arguments.
@@ -20,9 +20,6 @@ const SETTINGS_NAME: &str = "long.json";
 
 /// Name of the file with every expression.
 pub const EVENTS_NAME: &str = "events.csv";
-
-/// Name of the file with what else happens.
-pub const DISTURBANCES_NAME: &str = "disturbances.csv";
 
 /// Frames that are made together. A video has a whole number of pieces.
 pub const PIECE: u32 = 30;

@@ -1,8 +1,10 @@
 //! One clip: a head with a micro-expression and a slight drift, in front of a static camera.
 
+use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::Key;
-use srflow_head::{HeadModelError, HeadPose, MicroExpression};
+use srflow_head::motion::{Blinks, Gaze, add_lids, turn_eyes};
+use srflow_head::{HeadModel, HeadModelError, HeadPose, MicroExpression, Side};
 use srflow_splat::Camera;
 
 use super::portrait::{camera, drift, landmarks_in_image, move_head};
@@ -18,12 +20,91 @@ const DRIFT_METRES: f32 = 0.00015;
 /// Seconds between control points of the drift.
 const DRIFT_KNOT_SECONDS: f32 = 0.25;
 
+/// A clip begins so many seconds after its person's eyes began to move, at least and at most.
+const BEFORE_SECONDS: [f32; 2] = [4.0, 12.0];
+
+/// Something other than the expression that a clip shows.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Disturbance {
+    /// `blink` or `glance`.
+    pub what: String,
+    /// First and last frame.
+    pub first: u64,
+    pub last: u64,
+}
+
+/// Blinks and glances.
+struct Eyes {
+    blinks: Blinks,
+    gaze: Gaze,
+    /// Strengths of both.
+    strength: [f32; 2],
+    /// Second at which the clip begins.
+    start: f32,
+    frames_per_second: f32,
+}
+
+impl Eyes {
+    /// `None` where they do not move.
+    fn random(key: Key, settings: &SynthSettings, frames: usize) -> Option<Self> {
+        let strength = [settings.blinks, settings.glances];
+        let [least, most] = BEFORE_SECONDS;
+        let start = key.stream("eyes").uniform(least, most);
+        let end = start + frames as f32 / settings.fps;
+        settings.has_disturbances().then(|| Self {
+            blinks: Blinks::random(key, end),
+            gaze: Gaze::random(key, end),
+            strength,
+            start,
+            frames_per_second: settings.fps,
+        })
+    }
+
+    fn pose(
+        &self,
+        model: &HeadModel,
+        expression: &MicroExpression,
+        frame: usize,
+    ) -> Result<HeadPose, HeadModelError> {
+        let time = self.start + frame as f32 / self.frames_per_second;
+        let [blinks, glances] = self.strength;
+        let gaze = self.gaze.at(time).map(|angle| angle * glances);
+        let mut units = expression.action_units_at(frame);
+        let available: Vec<(u8, Side)> =
+            model.action_units.iter().map(|unit| (unit.number, unit.side)).collect();
+        add_lids(&mut units, &available, self.blinks.closed_at(time) * blinks, gaze);
+        units.retain(|unit| unit.2 > 0.0);
+        let mut pose = model.pose_of_action_units(&units)?;
+        turn_eyes(&mut pose, model, gaze);
+        Ok(pose)
+    }
+
+    /// What of it falls into the `frames` of the clip.
+    fn disturbances(&self, frames: usize) -> Vec<Disturbance> {
+        let frame = |second: f32| (second - self.start) * self.frames_per_second;
+        let within = |what: &str, [first, last]: [f32; 2]| {
+            let (first, last) = (frame(first).ceil().max(0.0), frame(last).floor().min((frames - 1) as f32));
+            (first <= last).then(|| Disturbance {
+                what: what.to_owned(),
+                first: first as u64,
+                last: last as u64,
+            })
+        };
+        let [blinks, glances] = self.strength.map(|strength| strength > 0.0);
+        let blinks = self.blinks.spans().filter(|_| blinks).filter_map(|span| within("blink", span));
+        blinks
+            .chain(self.gaze.shifts().filter(|_| glances).filter_map(|span| within("glance", span)))
+            .collect()
+    }
+}
+
 pub struct Clip {
     pub expression: MicroExpression,
     pub camera: Camera,
     pub light: Light,
     pub key: Key,
     drift: SmoothPath<6>,
+    eyes: Option<Eyes>,
     frames: usize,
 }
 
@@ -47,6 +128,7 @@ impl Clip {
             camera: camera(avatar, settings.side, &mut key.stream("framing")),
             light: Light::random(key, settings.lighting),
             drift: drift(&mut key.stream("drift"), points, DRIFT_DEGREES, DRIFT_METRES, settings.drift),
+            eyes: Eyes::random(key, settings, frames),
             expression,
             key,
             frames,
@@ -59,7 +141,11 @@ impl Clip {
 
     /// The head in a frame.
     pub fn pose(&self, avatar: &Avatar, frame: usize) -> Result<HeadPose, HeadModelError> {
-        let mut pose = self.expression.pose(avatar.model(), frame)?;
+        let (model, expression) = (avatar.model(), &self.expression);
+        let mut pose = match &self.eyes {
+            Some(eyes) => eyes.pose(model, expression, frame)?,
+            None => expression.pose(model, frame)?,
+        };
         move_head(&mut pose, self.drift.at(frame as f64 / (self.frames - 1).max(1) as f64));
         Ok(pose)
     }
@@ -67,6 +153,11 @@ impl Clip {
     /// Image positions of dlib's 68 landmarks on a posed head, in pixels.
     pub fn landmarks(&self, avatar: &Avatar, head: &PosedHead) -> Vec<[f64; 2]> {
         landmarks_in_image(avatar, head, &self.camera)
+    }
+
+    /// What the clip shows besides the expression.
+    pub fn disturbances(&self) -> Vec<Disturbance> {
+        self.eyes.as_ref().map(|eyes| eyes.disturbances(self.frames)).unwrap_or_default()
     }
 
     /// Action units at the apex, by name.

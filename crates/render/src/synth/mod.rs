@@ -10,6 +10,7 @@
 //! s03/c05_mask.png          white on the head at the onset
 //! s03/c05.json              class, action units and their intensities, onset, apex, offset, landmarks; written last
 //! clips.csv                 the dataset as plain clips; written once it is complete
+//! disturbances.csv          every blink and glance, with its first and last frame, if there are any
 //! landmarks.csv             the 68 landmarks of dlib in every clip's onset frame
 //! ```
 //!
@@ -33,11 +34,12 @@ pub use settings::SynthSettings;
 use crate::RenderError;
 use crate::job::{self, Request};
 use crate::record::read_record;
+use clip::Disturbance;
 use settings::ClipPlan;
 use srflow_data::micro_expression::{Annotation, Classes, EmotionClass, PLAIN_NAME, write_plain};
 use work::ClipRecord;
 pub(crate) use work::Clips;
-pub use work::LANDMARKS_NAME;
+pub use work::{DISTURBANCES_NAME, LANDMARKS_NAME};
 
 /// The result of [`synthesize`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -85,9 +87,25 @@ pub fn synthesize(settings: &SynthSettings, request: Request) -> Result<SynthRep
 pub(crate) fn finish(dir: &Path, plan: &Clips) -> Result<(usize, f64), RenderError> {
     let records: Vec<ClipRecord> =
         plan.clips.iter().map(|clip| read_record(&clip.record(dir))).collect::<Result<_, _>>()?;
+    if plan.settings().has_disturbances() {
+        write_disturbances(dir, &plan.clips, &records)?;
+    }
     write_tables(dir, &plan.clips, &records)?;
     let mean_flow = records.iter().map(|record| record.mean_flow).sum::<f64>() / records.len().max(1) as f64;
     Ok((records.iter().map(|record| record.frames).sum(), mean_flow))
+}
+
+/// Writes `disturbances.csv`.
+fn write_disturbances(dir: &Path, plan: &[ClipPlan], records: &[ClipRecord]) -> Result<(), RenderError> {
+    Ok(write_atomically(&dir.join(DISTURBANCES_NAME), |writer| {
+        writeln!(writer, "subject,clip,what,first,last")?;
+        for (clip, record) in plan.iter().zip(records) {
+            for Disturbance { what, first, last } in &record.disturbances {
+                writeln!(writer, "{},{},{what},{first},{last}", clip.subject_name, clip.name)?;
+            }
+        }
+        Ok(())
+    })?)
 }
 
 /// Writes `landmarks.csv` and, last, `clips.csv`.

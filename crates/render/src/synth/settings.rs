@@ -50,6 +50,14 @@ pub struct SynthSettings {
     /// at 100 Hz
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().lighting)]
     pub lighting: f32,
+    /// Blinks; 1 closes the lids every 1.6 to 5.5 seconds
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().blinks)]
+    #[serde(skip_serializing_if = "is_none")]
+    pub blinks: f32,
+    /// Glances; 1 turns the eyes by up to 18 degrees
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().glances)]
+    #[serde(skip_serializing_if = "is_none")]
+    pub glances: f32,
     /// Head model, or several, which the subjects show in turn
     #[arg(long, value_name = "HEAD", default_values_t = Self::default().head, help = heads_help())]
     #[serde(skip_serializing_if = "is_default")]
@@ -70,6 +78,11 @@ pub struct SynthSettings {
     pub only_key_frames: bool,
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes references")]
+fn is_none(strength: &f32) -> bool {
+    *strength == 0.0
+}
+
 impl Default for SynthSettings {
     fn default() -> Self {
         Self {
@@ -81,6 +94,8 @@ impl Default for SynthSettings {
             noise: 1.0,
             drift: 1.0,
             lighting: 1.0,
+            blinks: 0.0,
+            glances: 0.0,
             head: vec![HeadSource::builtin()],
             look: Look::default(),
             seed: 1,
@@ -152,6 +167,11 @@ impl ClipPlan {
 }
 
 impl SynthSettings {
+    /// Whether the clips show blinks or glances.
+    pub(super) fn has_disturbances(&self) -> bool {
+        self.blinks > 0.0 || self.glances > 0.0
+    }
+
     /// Checks the settings and lists the clips, by subject.
     pub(super) fn plan(&self) -> Result<Vec<ClipPlan>, RenderError> {
         require("subjects", self.subjects, "1 to 1000", (1..=1000).contains(&self.subjects))?;
@@ -161,9 +181,13 @@ impl SynthSettings {
         require("fps", self.fps, "10 to 2000 frames per second", fps)?;
         let intensity = self.intensity > 0.0 && self.intensity <= 2.5;
         require("intensity", self.intensity, "above 0 to 2.5", intensity)?;
-        for (field, value, most) in
-            [("noise", self.noise, 50.0), ("drift", self.drift, 20.0), ("lighting", self.lighting, 20.0)]
-        {
+        for (field, value, most) in [
+            ("noise", self.noise, 50.0),
+            ("drift", self.drift, 20.0),
+            ("lighting", self.lighting, 20.0),
+            ("blinks", self.blinks, 1.0),
+            ("glances", self.glances, 2.0),
+        ] {
             require(field, value, format!("0 to {most}"), (0.0..=most).contains(&value))?;
         }
         let clip = |number: u32| {
@@ -218,6 +242,8 @@ mod tests {
             (SynthSettings { noise: -1.0, ..default() }, "noise"),
             (SynthSettings { drift: f32::INFINITY, ..default() }, "drift"),
             (SynthSettings { lighting: f32::NAN, ..default() }, "lighting"),
+            (SynthSettings { blinks: 1.5, ..default() }, "blinks"),
+            (SynthSettings { glances: -1.0, ..default() }, "glances"),
         ] {
             let error = settings.plan().unwrap_err().to_string();
             assert!(error.starts_with(argument), "{error}");

@@ -10,7 +10,7 @@ use srflow_files::{write_file, write_flow_as, write_image_png, write_mask_png};
 use srflow_head::MicroExpression;
 use srflow_splat::{DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, RasterizeError};
 
-use super::clip::Clip;
+use super::clip::{Clip, Disturbance};
 use super::portrait::BACKDROP;
 use super::settings::{ClipPlan, Motion, SynthSettings};
 use crate::flow_parts::{FlowParts, Seen};
@@ -23,6 +23,9 @@ const SETTINGS_NAME: &str = "synth.json";
 
 /// Name of the file of landmarks.
 pub const LANDMARKS_NAME: &str = "landmarks.csv";
+
+/// Name of the file with what else the frames of a dataset show than expressions.
+pub const DISTURBANCES_NAME: &str = "disturbances.csv";
 
 type Work<'w> = crate::job::Work<'w, Clips>;
 
@@ -51,6 +54,9 @@ pub struct ClipRecord {
     pub mean_flow: f64,
     /// The 68 landmarks of dlib in the onset frame, in pixels.
     pub landmarks: Vec<[f64; 2]>,
+    /// Blinks and glances.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub disturbances: Vec<Disturbance>,
 }
 
 /// A dataset of clips, grouped by subject.
@@ -78,7 +84,7 @@ impl Clips {
         Ok(Self { clips: settings.plan()?, head, arguments })
     }
 
-    fn settings(&self) -> &SynthSettings {
+    pub(super) fn settings(&self) -> &SynthSettings {
         &self.arguments.settings
     }
 
@@ -131,7 +137,8 @@ impl Layout for Clips {
     }
 
     fn others(&self) -> Vec<PathBuf> {
-        vec![LANDMARKS_NAME.into(), PLAIN_NAME.into()]
+        let disturbances = self.settings().has_disturbances().then_some(DISTURBANCES_NAME);
+        disturbances.into_iter().chain([LANDMARKS_NAME, PLAIN_NAME]).map(PathBuf::from).collect()
     }
 }
 
@@ -270,6 +277,7 @@ impl Renderer {
             frames,
             mean_flow,
             landmarks,
+            disturbances: clip.disturbances(),
         };
         // The record marks the clip as complete, so it comes last.
         work.write(Stage::Records, &plan.record(work.dir), |path| write_file(path, json_text(&record)))

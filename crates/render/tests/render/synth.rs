@@ -110,6 +110,42 @@ fn without_disturbance_only_the_expression_moves() {
 }
 
 #[test]
+fn blinks_and_glances_move_the_eyes_and_are_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    // Nothing but the eyes moves visibly.
+    let still = SynthSettings { drift: 0.0, noise: 0.0, lighting: 0.0, intensity: 1e-3, ..settings() };
+    make(&SynthSettings { clips: 9, blinks: 1.0, glances: 1.0, ..still }, dir, 2).unwrap();
+    let table = fs::read_to_string(dir.join("disturbances.csv")).unwrap();
+    let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    for what in ["blink", "glance"] {
+        assert!(rows.iter().any(|row| row[2] == what), "{table}");
+    }
+    for number in 1..=9 {
+        let clip = format!("s01/c{number:02}");
+        let listed: Vec<[usize; 2]> = rows
+            .iter()
+            .filter(|row| row[1] == clip)
+            .map(|row| [row[3], row[4]].map(|frame| frame.parse().unwrap()))
+            .collect();
+        let count = fs::read_dir(dir.join(&clip)).unwrap().count();
+        let frames: Vec<_> =
+            (0..count).map(|n| read_image(&dir.join(format!("{clip}/{n:04}.png"))).unwrap()).collect();
+        let changes = |n: usize| {
+            let pixels = frames[n].pixels().iter().zip(frames[n + 1].pixels());
+            pixels.flat_map(|(a, b)| (0..3).map(|c| a[c].abs_diff(b[c]))).max() > Some(6)
+        };
+        for n in 0..count - 1 {
+            let moves = listed.iter().any(|&[first, last]| first <= n + 1 && n <= last);
+            assert!(moves || !changes(n), "{clip}, frame {n}: {table}");
+        }
+        for &[first, last] in listed.iter().filter(|[first, last]| last - first > 2) {
+            assert!((first..last).any(changes), "{clip}, from {first} to {last}");
+        }
+    }
+}
+
+#[test]
 fn the_flow_is_that_of_the_head_and_that_of_the_expression() {
     let folder = tempfile::tempdir().unwrap();
     // As much drift as there can be: two motions that are each rendered alone would not add up.

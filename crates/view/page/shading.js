@@ -13,7 +13,7 @@ class Shading {
     this.changing = [...new Set(arrays.shadow_vertices)];
     this.places = singles(arrays.places);
     this.creases = { gaussians: arrays.crease_gaussians, folds: arrays.crease_folds, reliefs: singles(arrays.crease_reliefs) };
-    this.halves = [this.light.key, this.light.fill].map(([x, y, z]) => unit([x, y, z + 1]));
+    this.halfways = [this.light.key, this.light.fill].map(([x, y, z]) => unit([x, y, z + 1]));
     this.rest = new Float32Array(8 * (head.triangles.length / 3));
     head.vertices.set(head.shaped);
     head.framesInto(this.rest);
@@ -42,7 +42,7 @@ class Shading {
     const toKey = key[0] * x + key[1] * y + key[2] * z;
     const toFill = fill[0] * x + fill[1] * y + fill[2] * z;
     const gloss = ([hx, hy, hz]) => Math.max(hx * x + hy * y + hz * z, 0) ** 16;
-    const reflected = Math.max(sheen * (lit[9] * gloss(this.halves[0]) + 0.35 * lit[10] * gloss(this.halves[1])), 1e-3);
+    const reflected = Math.max(sheen * (lit[9] * gloss(this.halfways[0]) + 0.35 * lit[10] * gloss(this.halfways[1])), 1e-3);
     const up = y * 0.5 + 0.5;
     const channel = (c) => {
       const lambert = (cosine) => Math.max((cosine + wrap[c]) / (1 + wrap[c]), 0);

@@ -3,8 +3,8 @@
 use glam::{EulerRot, Quat};
 use srflow_core::random::Key;
 
-use super::{add_unit, quintic};
-use crate::{HeadModel, HeadPose, JointRole, Side};
+use super::{add_unit, available_units, quintic};
+use crate::{HeadModel, HeadModelError, HeadPose, JointRole, Side};
 
 /// Duration of closing and of opening the lids, seconds.
 const BLINK_SECONDS: [f32; 2] = [0.11, 0.19];
@@ -92,13 +92,26 @@ impl Gaze {
     }
 }
 
-/// Closes the lids by `closed`, or as far as the gaze is down, and raises them for a gaze up.
-pub fn add_lids(
+/// The pose of a face that shows `units`, with the lids closed by `closed`, 0 to 1, and the eyes turned by `gaze`. Adds what the lids do
+/// to the units.
+///
+/// # Errors
+/// [`HeadModelError::NoActionUnit`] when `model` lacks one of the units.
+pub fn pose_of_face(
+    model: &HeadModel,
     units: &mut Vec<(u8, Side, f32)>,
-    available: &[(u8, Side)],
     closed: f32,
-    [_, gaze_up]: [f32; 2],
-) {
+    gaze: [f32; 2],
+) -> Result<HeadPose, HeadModelError> {
+    add_lids(units, &available_units(model), closed, gaze);
+    units.retain(|unit| unit.2 > 0.0);
+    let mut pose = model.pose_of_action_units(units)?;
+    turn_eyes(&mut pose, model, gaze);
+    Ok(pose)
+}
+
+/// Closes the lids by `closed`, or as far as the gaze is down, and raises them for a gaze up.
+fn add_lids(units: &mut Vec<(u8, Side, f32)>, available: &[(u8, Side)], closed: f32, [_, gaze_up]: [f32; 2]) {
     let closed = closed.max(-gaze_up * 0.9).min(1.0);
     let number = if available.iter().any(|(n, _)| *n == 45) { 45 } else { 43 };
     for &(n, side) in available.iter().filter(|(n, _)| *n == number) {
@@ -112,7 +125,7 @@ pub fn add_lids(
 }
 
 /// Turns both eyes of a pose by a gaze.
-pub fn turn_eyes(pose: &mut HeadPose, model: &HeadModel, [left, up]: [f32; 2]) {
+fn turn_eyes(pose: &mut HeadPose, model: &HeadModel, [left, up]: [f32; 2]) {
     let turn = Quat::from_euler(EulerRot::YXZ, left, -up, 0.0);
     for eye in [JointRole::LeftEye, JointRole::RightEye].into_iter().filter_map(|role| model.joint(role)) {
         *pose.joint_mut(eye) *= turn;

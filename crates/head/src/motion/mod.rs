@@ -12,7 +12,7 @@ use curve::Curve;
 use speech::speech_units;
 
 pub use curve::quintic;
-pub use eyes::{Blinks, Gaze, add_lids, turn_eyes};
+pub use eyes::{Blinks, Gaze, pose_of_face};
 pub use speech::Speech;
 
 /// One frame of a motion.
@@ -60,7 +60,6 @@ pub struct Motion {
     gaze: Gaze,
     neck: [Curve; 3],
     speech: Speech,
-    available: Vec<(u8, Side)>,
 }
 
 /// An expression with attack, hold and release.
@@ -93,7 +92,6 @@ impl Motion {
                 curve("neck roll", 1.1, 0.11),
             ],
             speech: Speech::random(key, seconds),
-            available,
             frames,
             frames_per_second,
         }
@@ -124,15 +122,13 @@ impl Motion {
                 }
             }
         }
-        add_lids(&mut units, &self.available, self.blinks.closed_at(time) * ease, gaze);
-        units.retain(|u| u.2 > 0.0);
+        let closed = self.blinks.closed_at(time) * ease;
         // Only units of the model are ever added, so this cannot fail.
-        let mut pose = model.pose_of_action_units(&units).unwrap_or_default();
+        let mut pose = pose_of_face(model, &mut units, closed, gaze).unwrap_or_default();
         let [yaw, pitch, roll] = [0, 1, 2].map(|axis| self.neck[axis].at(time) * ease);
         if let Some(neck) = model.joint(JointRole::Neck) {
             *pose.joint_mut(neck) *= Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
         }
-        turn_eyes(&mut pose, model, gaze);
         Moment { pose, action_units: units, gaze }
     }
 

@@ -4,7 +4,7 @@ use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::Key;
 use srflow_data::micro_expression::EmotionClass;
 use srflow_data::micro_expression::intervals::{ExpressionKind, Interval};
-use srflow_head::motion::{Blinks, Gaze, Speech, add_lids, quintic, turn_eyes};
+use srflow_head::motion::{Blinks, Gaze, Speech, pose_of_face, quintic};
 use srflow_head::{HeadModel, HeadModelError, HeadPose, MicroExpression, Side};
 use srflow_splat::{Camera, Gaussians};
 
@@ -144,10 +144,8 @@ impl Timeline {
                 units.extend(shown);
             }
         }
-        add_lids(&mut units, &self.available, self.blinks.closed_at(time) * blinks, gaze);
-        units.retain(|unit| unit.2 > 0.0);
-        let mut pose = model.pose_of_action_units(&units)?;
-        turn_eyes(&mut pose, model, gaze);
+        let closed = self.blinks.closed_at(time) * blinks;
+        let mut pose = pose_of_face(model, &mut units, closed, gaze)?;
         move_head(&mut pose, self.head.at(f64::from(frame - 1) / f64::from(self.frames)));
         Ok(pose)
     }

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::Key;
-use srflow_head::motion::{Blinks, Gaze, add_lids, turn_eyes};
-use srflow_head::{HeadModel, HeadModelError, HeadPose, MicroExpression, Side};
+use srflow_head::motion::{Blinks, Gaze, pose_of_face};
+use srflow_head::{HeadModel, HeadModelError, HeadPose, MicroExpression};
 use srflow_splat::Camera;
 
 use super::portrait::{camera, drift, landmarks_in_image, move_head};
@@ -70,13 +70,7 @@ impl Eyes {
         let [blinks, glances] = self.strength;
         let gaze = self.gaze.at(time).map(|angle| angle * glances);
         let mut units = expression.action_units_at(frame);
-        let available: Vec<(u8, Side)> =
-            model.action_units.iter().map(|unit| (unit.number, unit.side)).collect();
-        add_lids(&mut units, &available, self.blinks.closed_at(time) * blinks, gaze);
-        units.retain(|unit| unit.2 > 0.0);
-        let mut pose = model.pose_of_action_units(&units)?;
-        turn_eyes(&mut pose, model, gaze);
-        Ok(pose)
+        pose_of_face(model, &mut units, self.blinks.closed_at(time) * blinks, gaze)
     }
 
     /// What of it falls into the `frames` of the clip.

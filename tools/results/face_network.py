@@ -4,6 +4,9 @@
     python tools/results/face_network.py sets DIR [--look 1] [--heads NAME=HEAD...] [--faces PHOTOGRAPH...] [--photographs PHOTOGRAPH...]
     python tools/results/face_network.py score DIR NAME -- --method srflow --iters 2
     python tools/results/face_network.py table DIR NAME... [--score head]
+    python tools/results/face_network.py change DIR --before NAME... --after NAME... [--score head]
+
+`change` prints how much a score changes on the same pairs, averaged over trainings that are paired by seed.
 
 `sets` renders heads with seeds that no training uses, and warps photographs by known flows; `score` runs `srflow eval` with the options
 after `--` on each set; `table` prints the mean of a score over the pairs of a set, with 95 % intervals by bootstrap over scenes. The
@@ -231,10 +234,27 @@ def table(args):
             print(f"| {kind} | " + " | ".join(cells) + " |")
 
 
+def change(args):
+    print(f"| {args.score} | before | change | by training |\n|---|--:|--:|---|")
+    read = lambda name, kind: json.loads((args.dir / "scores" / name / kind).read_text())
+    for kind in sorted(path.name for path in (args.dir / "scores" / args.before[0]).glob("*.json")):
+        found = [[read(name, kind) for name in names] for names in (args.before, args.after)]
+        pairs = list(found[0][0])
+        before, after = (np.array([[rows[pair].get(args.score, np.nan) for pair in pairs] for rows in side]) for side in found)
+        known = ~np.isnan(before + after).any(0)
+        if not known.any():
+            continue
+        each = (after - before)[:, known]
+        scenes = np.array([pair.rsplit("-", 1)[0] for pair in pairs])[known]
+        low, high = interval(each.mean(0), scenes, np.random.default_rng(1))
+        seeds = ", ".join(f"{mean:+.3f}" for mean in each.mean(1))
+        print(f"| {kind[:-5]} | {before[:, known].mean():.3f} | {each.mean():+.3f} ({low:+.3f} to {high:+.3f}) | {seeds} |")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
-    for does in (sets, score, table):
+    for does in (sets, score, table, change):
         command = commands.add_parser(does.__name__)
         command.set_defaults(does=does)
         command.add_argument("dir", type=Path)
@@ -248,6 +268,10 @@ def main():
             command.add_argument("options", nargs=argparse.REMAINDER)
         if does is table:
             command.add_argument("names", nargs="+")
+        if does is change:
+            command.add_argument("--before", nargs="+", required=True)
+            command.add_argument("--after", nargs="+", required=True)
+        if does in (table, change):
             command.add_argument("--score", default="head")
     args = parser.parse_args()
     if "options" in args and args.options[:1] == ["--"]:

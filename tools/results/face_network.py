@@ -6,10 +6,9 @@
     python tools/results/face_network.py table DIR NAME... [--score head]
     python tools/results/face_network.py change DIR --before NAME... --after NAME... [--score head]
 
-`change` prints how much a score changes on the same pairs, averaged over trainings that are paired by seed.
-
 `sets` renders heads with seeds that no training uses, and warps photographs by known flows; `score` runs `srflow eval` with the options
-after `--` on each set; `table` prints the mean of a score over the pairs of a set, with 95 % intervals by bootstrap over scenes. The
+after `--` on each set; `table` prints the mean of a score over the pairs of a set, with 95 % intervals by bootstrap over scenes;
+`change` how much it changes on the same pairs, averaged over trainings that are paired by seed. The
 program is `srflow`, or the one that SRFLOW names.
 
 Scores: `all`, `head`, `skin`, `eyes`, `mouth`, `hair`, `neck`, `background`: end-point error in pixels; `small`: that of pixels that move

@@ -32,6 +32,20 @@ pub(crate) fn require(
     }
 }
 
+/// Refuses strengths of disturbances of a recording that are negative or too great.
+pub(crate) fn require_strengths(strengths: &[(&'static str, f32)]) -> Result<(), RenderError> {
+    strengths.iter().try_for_each(|&(field, found)| {
+        let most = match field {
+            "noise" => 50.0,
+            "drift" | "lighting" => 20.0,
+            "blinks" => 1.0,
+            "glances" | "speech" => 2.0,
+            _ => unreachable!("{field} is no disturbance"),
+        };
+        require(field, found, format!("0 to {most}"), (0.0..=most).contains(&found))
+    })
+}
+
 /// A record could not be read.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {reason}; delete the file and run `srflow render` again to rewrite it", .path.display())]

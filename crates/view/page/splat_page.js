@@ -189,7 +189,7 @@ class SplatPage {
     const moving = this.move(camera);
     this.splats.setFrames(this.now, this.next);
     const order = this.splats.sort(this.now, camera);
-    if (this.shading) this.splats.setFactors(this.shading.factors(this.pose, this.before, this.now));
+    this.shade();
     this.splats.setOrder(await order);
     const { state } = this;
     const longest = state.full > 0 ? state.full : moving;
@@ -200,6 +200,15 @@ class SplatPage {
       depths: [Math.max(near, NEAR), this.camera.distance + this.pack.surroundings.radius],
     });
     if (this.pointer) this.read(...this.pointer);
+  }
+
+  /** Sets the light on the Gaussians, where the pose is another than before. */
+  shade() {
+    const { t, units, gaze, turn } = this.state;
+    const pose = JSON.stringify([t, units, gaze, turn]);
+    if (!this.shading || pose === this.shadedPose) return;
+    this.shadedPose = pose;
+    this.splats.setFactors(this.shading.factors(this.pose, this.before, this.now));
   }
 
   size() {

@@ -33,13 +33,12 @@ pub struct Shading {
     rest: Vec<Quat>,
 }
 
-/// What an action unit changes of the exposure of vertices.
+/// What an action unit changes of the exposure of the vertices of one half of the face.
 #[derive(Debug, Clone)]
 struct Shadows {
-    /// The unit's intensity on the left and the right half.
-    intensities: [Intensity; 2],
-    /// Vertices, whether each is on the right half, and the change at full intensity.
-    changes: Vec<(u32, bool, Exposure)>,
+    intensity: Intensity,
+    /// Vertices, and the change at full intensity.
+    changes: Vec<(u32, Exposure)>,
 }
 
 /// Action units that change shadows.
@@ -77,7 +76,7 @@ impl Shading {
         let places = dressing.splats[..dressing.lit].iter().map(place).collect();
         let rest = surface.frames.iter().map(|frame| frame.rotation).collect();
         let shadows: Vec<Shadows> =
-            UNITS.iter().filter_map(|&number| Shadows::new(dressing, shaped, number)).collect();
+            UNITS.iter().filter_map(|&number| Shadows::of(dressing, shaped, number)).flatten().collect();
         let mut changing: Vec<u32> =
             shadows.iter().flat_map(|unit| unit.changes.iter().map(|c| c.0)).collect();
         changing.sort_unstable();
@@ -88,20 +87,20 @@ impl Shading {
 
     /// Light that reaches the vertices with these weights of expressions.
     fn lit(&self, expressions: &[f32]) -> std::borrow::Cow<'_, [Option<Lit>]> {
-        let shown: Vec<(&Shadows, [f32; 2])> = self
+        let shown: Vec<(&Shadows, f32)> = self
             .shadows
             .iter()
-            .map(|shadows| (shadows, shadows.intensities.each_ref().map(|half| half.at(expressions))))
-            .filter(|(_, sides)| *sides != [0.0; 2])
+            .map(|shadows| (shadows, shadows.intensity.at(expressions)))
+            .filter(|(_, intensity)| *intensity != 0.0)
             .collect();
         if shown.is_empty() {
             return (&self.lit).into();
         }
         let mut exposures = self.exposures.clone();
-        for (shadows, sides) in shown {
-            for &(vertex, right, change) in &shadows.changes {
+        for (shadows, intensity) in shown {
+            for &(vertex, change) in &shadows.changes {
                 let exposure = &mut exposures[vertex as usize];
-                *exposure = *exposure + change * sides[usize::from(right)];
+                *exposure = *exposure + change * intensity;
             }
         }
         let mut lit = self.lit.clone();
@@ -116,23 +115,17 @@ impl Shading {
     pub fn tables(&self) -> ShadingTables<'_> {
         let parts = |exposure: &Exposure| Vec3::new(exposure.sky, exposure.key, exposure.fill);
         let exposures = self.exposures.iter().zip(&self.lit);
-        let half = |unit: &Shadows, right: bool| {
-            let changes = unit.changes.iter().filter(|change| change.1 == right);
-            changes.map(|(vertex, _, change)| (*vertex, parts(change))).collect()
-        };
+        let changes =
+            |unit: &Shadows| unit.changes.iter().map(|(vertex, change)| (*vertex, parts(change))).collect();
         ShadingTables {
             facts: ShadingFacts {
                 light: SkinLight::new(),
                 albedo: self.albedo.to_array(),
-                shadows: self.shadows.iter().flat_map(|unit| &unit.intensities).collect(),
+                shadows: self.shadows.iter().map(|unit| &unit.intensity).collect(),
                 folds: &self.strengths,
             },
             exposures: exposures.map(|(exposure, lit)| lit.map_or(Vec3::NAN, |_| parts(exposure))).collect(),
-            shadows: self
-                .shadows
-                .iter()
-                .flat_map(|unit| [false, true].map(|right| half(unit, right)))
-                .collect(),
+            shadows: self.shadows.iter().map(changes).collect(),
             places: self.places.iter().map(|place| place.1).collect(),
             creases: &self.creases,
         }
@@ -226,8 +219,8 @@ pub struct ShadingFacts<'a> {
 }
 
 impl Shadows {
-    /// Of action unit `number`; `None` where the model lacks it.
-    fn new(dressing: &Dressing, shaped: &ShapedHead, number: u8) -> Option<Self> {
+    /// Of action unit `number`, on the left and the right half; `None` where the model lacks it.
+    fn of(dressing: &Dressing, shaped: &ShapedHead, number: u8) -> Option<[Self; 2]> {
         let surface = dressing.surface;
         let model = surface.model;
         let half = |side| Intensity::of(model, number, side);
@@ -245,10 +238,13 @@ impl Shadows {
         };
         let mut changes: Vec<Exposure> = (0..after.len()).map(change).collect();
         surface.smooth(&mut changes);
-        let of = |(v, change): (usize, Exposure)| (v as u32, surface.vertices[v].x < 0.0, change);
         let shown = |change: &Exposure| [change.sky, change.key, change.fill].iter().any(|c| c.abs() > 4e-3);
-        let changes = changes.into_iter().enumerate().filter(|(_, change)| shown(change)).map(of).collect();
-        Some(Self { intensities, changes })
+        let mut halves = intensities.map(|intensity| Self { intensity, changes: Vec::new() });
+        for (vertex, change) in changes.into_iter().enumerate().filter(|(_, change)| shown(change)) {
+            let right = surface.vertices[vertex].x < 0.0;
+            halves[usize::from(right)].changes.push((vertex as u32, change));
+        }
+        Some(halves)
     }
 }
 

@@ -6,7 +6,7 @@ use srflow_head::Look;
 
 use crate::RenderError;
 use crate::clap::Args;
-use crate::error::require;
+use crate::error::{require, require_strengths};
 #[cfg(feature = "clap")]
 use crate::head::heads_help;
 use crate::head::is_default;
@@ -94,17 +94,14 @@ impl LongSettings {
         require("fps", self.fps, "10 to 500 frames per second", fps)?;
         let intensity = self.intensity > 0.0 && self.intensity <= 2.5;
         require("intensity", self.intensity, "above 0 to 2.5", intensity)?;
-        for (field, value, most) in [
-            ("noise", self.noise, 50.0),
-            ("drift", self.drift, 20.0),
-            ("lighting", self.lighting, 20.0),
-            ("blinks", self.blinks, 1.0),
-            ("glances", self.glances, 2.0),
-            ("speech", self.speech, 2.0),
-        ] {
-            require(field, value, format!("0 to {most}"), (0.0..=most).contains(&value))?;
-        }
-        Ok(())
+        require_strengths(&[
+            ("noise", self.noise),
+            ("drift", self.drift),
+            ("lighting", self.lighting),
+            ("blinks", self.blinks),
+            ("glances", self.glances),
+            ("speech", self.speech),
+        ])
     }
 
     /// Frames of each video, in whole pieces.

@@ -10,7 +10,7 @@ use srflow_head::Look;
 
 use crate::RenderError;
 use crate::clap::Args;
-use crate::error::require;
+use crate::error::{require, require_strengths};
 #[cfg(feature = "clap")]
 use crate::head::heads_help;
 use crate::head::is_default;
@@ -181,15 +181,13 @@ impl SynthSettings {
         require("fps", self.fps, "10 to 2000 frames per second", fps)?;
         let intensity = self.intensity > 0.0 && self.intensity <= 2.5;
         require("intensity", self.intensity, "above 0 to 2.5", intensity)?;
-        for (field, value, most) in [
-            ("noise", self.noise, 50.0),
-            ("drift", self.drift, 20.0),
-            ("lighting", self.lighting, 20.0),
-            ("blinks", self.blinks, 1.0),
-            ("glances", self.glances, 2.0),
-        ] {
-            require(field, value, format!("0 to {most}"), (0.0..=most).contains(&value))?;
-        }
+        require_strengths(&[
+            ("noise", self.noise),
+            ("drift", self.drift),
+            ("lighting", self.lighting),
+            ("blinks", self.blinks),
+            ("glances", self.glances),
+        ])?;
         let clip = |number: u32| {
             let (subject, within) = (number / self.clips, number % self.clips);
             // Each subject starts with another class, which balances odd numbers of clips over the subjects.

@@ -176,6 +176,10 @@ impl Plan for Clips {
     fn delete(&self, dir: &Path, found: &str) -> Result<(), RenderError> {
         // If the settings cannot be read, the dataset's files are unknown: they are overwritten instead.
         let Ok(other) = serde_json::from_str::<SynthSettings>(found) else { return Ok(()) };
+        // The tables first: without them the set does not count as complete.
+        for table in [DISTURBANCES_NAME, LANDMARKS_NAME, PLAIN_NAME] {
+            remove(&dir.join(table))?;
+        }
         for clip in other.plan()? {
             // The record first: without it the clip does not count.
             let flows = clip.flows(dir, other.flow_format);

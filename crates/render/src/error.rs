@@ -39,11 +39,17 @@ pub(crate) fn require_strengths(strengths: &[(&'static str, f32)]) -> Result<(),
             "noise" => 50.0,
             "drift" | "lighting" => 20.0,
             "blinks" => 1.0,
-            "glances" | "speech" => 2.0,
+            "glances" | "speech" | "nods" | "breathing" => 2.0,
             _ => unreachable!("{field} is no disturbance"),
         };
         require(field, found, format!("0 to {most}"), (0.0..=most).contains(&found))
     })
+}
+
+/// Whether a disturbance is left out; such strengths are not recorded, as in the datasets from before there were any.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes references")]
+pub(crate) fn is_none(strength: &f32) -> bool {
+    *strength == 0.0
 }
 
 /// A record could not be read.

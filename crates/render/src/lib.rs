@@ -6,6 +6,7 @@ pub mod camera;
 pub mod capture;
 pub mod check;
 mod clap;
+mod distractors;
 mod error;
 mod flow_parts;
 pub mod generate;

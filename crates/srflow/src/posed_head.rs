@@ -8,7 +8,7 @@ use crate::clap::Args;
 use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatar, HeadSource};
 use srflow_core::random::Key;
-use srflow_head::{HeadModel, HeadParameters, HeadPose, Motion, PoseParameters, Side};
+use srflow_head::{HeadModel, HeadParameters, HeadPose, Look, Motion, PoseParameters, Side};
 use srflow_render::generate::MotionSource;
 
 use crate::error::wrong_settings;
@@ -192,7 +192,8 @@ impl MovingHead {
         match &self.recorded {
             Some(recorded) => recorded.iter().map(|pose| pose.pose(model)).collect(),
             None => {
-                let motion = Motion::new(model, Key::new(self.seed), FRAMES, FRAMES_PER_SECOND);
+                let motion =
+                    Motion::new(model, Look::default(), Key::new(self.seed), FRAMES, FRAMES_PER_SECOND);
                 (0..FRAMES).map(|timestep| motion.at(model, timestep).pose).collect()
             }
         }
@@ -208,7 +209,8 @@ impl MovingHead {
         match recorded {
             Some(Some(recorded)) => Ok(recorded.pose(model)),
             None if timestep < FRAMES => {
-                let motion = Motion::new(model, Key::new(self.seed), FRAMES, FRAMES_PER_SECOND);
+                let motion =
+                    Motion::new(model, Look::default(), Key::new(self.seed), FRAMES, FRAMES_PER_SECOND);
                 Ok(motion.at(model, timestep).pose)
             }
             _ => wrong_settings!(

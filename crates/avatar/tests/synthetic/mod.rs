@@ -3,7 +3,7 @@
 use glam::{DMat3, DQuat, DVec3};
 use srflow_avatar::fit::LandmarkView;
 use srflow_core::random::Key;
-use srflow_head::{HeadModel, HeadPoints, HeadState, Motion, Region};
+use srflow_head::{HeadModel, HeadPoints, HeadState, Look, Motion, Region};
 use srflow_splat::Camera;
 
 #[derive(Debug, Clone, Copy)]
@@ -45,7 +45,7 @@ pub fn capture(model: &HeadModel, made: Capture) -> (Vec<LandmarkView>, Vec<Head
         model.identities.iter().map(|_| f64::from(stream.normal().clamp(-1.8, 1.8))).collect();
     let points = HeadPoints::landmarks(model);
     // Long enough to reach a pose far from rest in the middle, from where the timesteps are taken.
-    let motion = Motion::new(model, key, made.timesteps + 30, 25.0);
+    let motion = Motion::new(model, Look::First, key, made.timesteps + 30, 25.0);
     let state = |timestep: usize| {
         let pose = motion.at(model, timestep + 15).pose;
         let turn = timestep as f64 / 25.0;

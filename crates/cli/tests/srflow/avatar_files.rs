@@ -9,7 +9,7 @@ use srflow_avatar::Avatar;
 use srflow_avatar::capture::HeadRecord;
 use srflow_core::random::Key;
 use srflow_files::{read_flow, read_mask, read_npy};
-use srflow_head::{HeadParameters, Moment, Motion, PoseParameters};
+use srflow_head::{HeadParameters, Look, Moment, Motion, PoseParameters};
 
 use crate::{json, refuses, succeeds};
 
@@ -24,7 +24,7 @@ fn folder() -> &'static Path {
         let _ = fs::remove_dir_all(&dir); // of an earlier test run
         let avatar = Avatar::builtin(5).unwrap();
         let model = avatar.model();
-        let motion = Motion::new(model, Key::new(3), 60, 24.0);
+        let motion = Motion::new(model, Look::default(), Key::new(3), 60, 24.0);
         let pose = |frame: usize| {
             let Moment { mut pose, .. } = motion.at(model, frame);
             pose.translation.x = 0.001 * frame as f32;

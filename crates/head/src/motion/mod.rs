@@ -1,19 +1,20 @@
-//! Smooth random motion of a face: expressions, speech, blinks, gaze and the neck.
+//! Smooth random motion of a face: expressions, speech, blinks, gaze, the neck, nods and breathing.
 
 mod curve;
 mod eyes;
+mod gestures;
 mod speech;
 
 use glam::{EulerRot, Quat};
 use srflow_core::random::{Key, Stream};
 
-use crate::{HeadModel, HeadPose, JointRole, Side};
+use crate::{HeadModel, HeadPose, JointRole, Look, Side};
 use curve::Curve;
-use speech::speech_units;
 
 pub use curve::quintic;
 pub use eyes::{Blinks, Gaze, pose_of_face};
-pub use speech::Speech;
+pub use gestures::{Breathing, Nods, move_by_gestures};
+pub use speech::{Sentences, Speech};
 
 /// One frame of a motion.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,22 +61,26 @@ pub struct Motion {
     gaze: Gaze,
     neck: [Curve; 3],
     speech: Speech,
+    /// `None` in the first look.
+    gestures: Option<(Nods, Breathing)>,
+    available: Vec<(u8, Side)>,
 }
 
-/// An expression with attack, hold and release.
+/// An expression, or a sentence, with attack, hold and release.
 #[derive(Debug, Clone)]
 struct Event {
     start: f32,
     attack: f32,
     hold: f32,
     release: f32,
-    units: Vec<(u8, Side, f32)>,
-    speech: bool,
+    /// `None` while the person speaks.
+    units: Option<Vec<(u8, Side, f32)>>,
 }
 
 impl Motion {
-    /// The motion for `key` (with its scene), of `frames` frames, for this head model.
-    pub fn new(model: &HeadModel, key: Key, frames: usize, frames_per_second: f32) -> Self {
+    /// The motion for `key` (with its scene), of `frames` frames, for this head model. In the first look, people speak without sounds and
+    /// neither nod nor breathe.
+    pub fn new(model: &HeadModel, look: Look, key: Key, frames: usize, frames_per_second: f32) -> Self {
         let frames_per_second = if frames_per_second.is_finite() { frames_per_second.max(1.0) } else { 24.0 };
         let seconds = frames as f32 / frames_per_second;
         let available = available_units(model);
@@ -91,7 +96,10 @@ impl Motion {
                 curve("neck pitch", 0.8, 0.15),
                 curve("neck roll", 1.1, 0.11),
             ],
-            speech: Speech::random(key, seconds),
+            speech: Speech::random(key, seconds, look),
+            gestures: (look >= Look::Second)
+                .then(|| (Nods::random(key, seconds), Breathing::random(key, seconds))),
+            available,
             frames,
             frames_per_second,
         }
@@ -114,12 +122,15 @@ impl Motion {
         let mut units: Vec<(u8, Side, f32)> = Vec::new();
         for event in &self.events {
             let strength = event.strength(time) * ease;
-            if strength > 0.0 {
-                let spoken = self.speech.channels_at(time);
-                for &(number, side, intensity) in &event.units {
-                    let modulation = if event.speech { spoken[speech::channel(number)] } else { 1.0 };
-                    add_unit(&mut units, number, side, intensity * strength * modulation);
-                }
+            if strength <= 0.0 {
+                continue;
+            }
+            let shown = match &event.units {
+                None => self.speech.units_at(&self.available, time, strength),
+                Some(units) => units.iter().map(|&(n, side, most)| (n, side, most * strength)).collect(),
+            };
+            for (number, side, intensity) in shown {
+                add_unit(&mut units, number, side, intensity);
             }
         }
         let closed = self.blinks.closed_at(time) * ease;
@@ -128,6 +139,10 @@ impl Motion {
         let [yaw, pitch, roll] = [0, 1, 2].map(|axis| self.neck[axis].at(time) * ease);
         if let Some(neck) = model.joint(JointRole::Neck) {
             *pose.joint_mut(neck) *= Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
+        }
+        if let Some((nods, breathing)) = &self.gestures {
+            let nod = nods.at(time).map(|angle| angle * ease);
+            move_by_gestures(&mut pose, model, nod, breathing.at(time) * ease);
         }
         Moment { pose, action_units: units, gaze }
     }
@@ -144,8 +159,14 @@ impl Motion {
 }
 
 /// All frames of [`Motion`].
-pub fn sequence(model: &HeadModel, key: Key, frames: usize, frames_per_second: f32) -> Vec<Moment> {
-    let motion = Motion::new(model, key, frames, frames_per_second);
+pub fn sequence(
+    model: &HeadModel,
+    look: Look,
+    key: Key,
+    frames: usize,
+    frames_per_second: f32,
+) -> Vec<Moment> {
+    let motion = Motion::new(model, look, key, frames, frames_per_second);
     (0..frames).map(|frame| motion.at(model, frame)).collect()
 }
 
@@ -171,8 +192,7 @@ fn events(stream: &mut Stream, seconds: f32, available: &[(u8, Side)]) -> Vec<Ev
             attack: stream.uniform(0.25, 0.7),
             hold: if speech { stream.uniform(0.8, 2.0) } else { stream.uniform(0.1, 0.9) },
             release: stream.uniform(0.3, 0.8),
-            units: if speech { speech_units(available) } else { expression_units(stream, available) },
-            speech,
+            units: (!speech).then(|| expression_units(stream, available)),
         };
         // The next expression may start while this one still fades.
         start += event.attack + event.hold + event.release * stream.uniform(0.2, 1.3);

@@ -95,7 +95,7 @@ impl Performance {
         let rate = TIMESTEPS_PER_SECOND.min(timesteps as f32 / LEAST_SECONDS).max(1.0);
         let key = Key::new(settings.seed);
         let model = avatar.model();
-        let motion = Motion::new(model, key, timesteps, rate);
+        let motion = Motion::new(model, settings.look, key, timesteps, rate);
         let wander = wander(key, timesteps as f32 / rate);
         let mut poses: Vec<PoseParameters> = (0..timesteps)
             .map(|timestep| {

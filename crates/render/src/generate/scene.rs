@@ -216,7 +216,7 @@ impl Action {
         let rate = views.pace.frames_per_second;
         let mixed = settings.motion == MotionSource::Mixed;
         Self {
-            motion: Motion::new(model, key, entry.pairs as usize + 1, rate),
+            motion: Motion::new(model, settings.look, key, entry.pairs as usize + 1, rate),
             micro_expressions: if mixed {
                 micro_expressions(model, key, entry.pairs, rate)
             } else {

@@ -5,7 +5,7 @@
 //! long.json           the arguments of the set
 //! s01/000001.png      frame 1 of subject 1's video
 //! events.csv          every expression: video, type, onset, apex, offset, class, action units; written once the set is complete
-//! disturbances.csv    every blink and sentence: video, what, first and last frame
+//! disturbances.csv    every blink, glance, sentence, nod and shake: video, what, first and last frame
 //! landmarks.csv       the 68 landmarks of dlib in every video's first frame
 //! ```
 //!

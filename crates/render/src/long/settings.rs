@@ -6,7 +6,8 @@ use srflow_head::Look;
 
 use crate::RenderError;
 use crate::clap::Args;
-use crate::error::{require, require_strengths};
+use crate::distractors::Strengths;
+use crate::error::{is_none, require, require_strengths};
 #[cfg(feature = "clap")]
 use crate::head::heads_help;
 use crate::head::is_default;
@@ -50,6 +51,14 @@ pub struct LongSettings {
     /// Speech; 1 is a short sentence now and then
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().speech)]
     pub speech: f32,
+    /// Nods and shakes of the head; 1 is one every 4 to 12 seconds, of up to 5 degrees
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().nods)]
+    #[serde(skip_serializing_if = "is_none")]
+    pub nods: f32,
+    /// Breathing; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().breathing)]
+    #[serde(skip_serializing_if = "is_none")]
+    pub breathing: f32,
     /// Head model, or several, which the subjects show in turn
     #[arg(long, value_name = "HEAD", default_values_t = Self::default().head, help = heads_help())]
     #[serde(skip_serializing_if = "is_default")]
@@ -77,6 +86,8 @@ impl Default for LongSettings {
             blinks: 1.0,
             glances: 1.0,
             speech: 1.0,
+            nods: 0.0,
+            breathing: 0.0,
             head: vec![HeadSource::builtin()],
             look: Look::default(),
             seed: 1,
@@ -101,7 +112,15 @@ impl LongSettings {
             ("blinks", self.blinks),
             ("glances", self.glances),
             ("speech", self.speech),
+            ("nods", self.nods),
+            ("breathing", self.breathing),
         ])
+    }
+
+    /// The strengths of what a face does besides.
+    pub(super) fn strengths(&self) -> Strengths {
+        let Self { blinks, glances, nods, breathing, .. } = *self;
+        Strengths { blinks, glances, nods, breathing }
     }
 
     /// Frames of each video, in whole pieces.

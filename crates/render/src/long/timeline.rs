@@ -4,12 +4,13 @@ use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::Key;
 use srflow_data::micro_expression::EmotionClass;
 use srflow_data::micro_expression::intervals::{ExpressionKind, Interval};
-use srflow_head::motion::{Blinks, Gaze, Speech, pose_of_face, quintic};
+use srflow_head::motion::{Speech, quintic};
 use srflow_head::{HeadModel, HeadModelError, HeadPose, MicroExpression, Side};
 use srflow_splat::{Camera, Gaussians};
 
 use super::settings::LongSettings;
 use crate::action_units::{action_unit_sets, coded_units};
+use crate::distractors::Distractors;
 use crate::generate::SmoothPath;
 use crate::recording::Light;
 use crate::synth::portrait::{camera, drift, landmarks_in_image, move_head};
@@ -71,8 +72,7 @@ impl Video {
 /// The events of a video, the motion of its head and what disturbs.
 pub struct Timeline {
     events: Vec<Event>,
-    blinks: Blinks,
-    gaze: Gaze,
+    distractors: Distractors,
     speech: Speech,
     head: SmoothPath<6>,
     available: Vec<(u8, Side)>,
@@ -115,9 +115,8 @@ impl Timeline {
         let points = (seconds / DRIFT_KNOT_SECONDS).ceil().clamp(1.0, 1e5) as usize + 1;
         Ok(Self {
             events: events(model, settings, key, frames)?,
-            blinks: Blinks::random(key, seconds),
-            gaze: Gaze::random(key, seconds),
-            speech: Speech::random(key, seconds),
+            distractors: Distractors::random(key, seconds, settings.strengths()),
+            speech: Speech::random(key, seconds, settings.look),
             head: drift(&mut key.stream("drift"), points, DRIFT_DEGREES, DRIFT_METRES, settings.drift),
             available: model.action_units.iter().map(|unit| (unit.number, unit.side)).collect(),
             settings: settings.clone(),
@@ -126,9 +125,8 @@ impl Timeline {
     }
 
     fn pose(&self, model: &HeadModel, frame: u32) -> Result<HeadPose, HeadModelError> {
-        let LongSettings { fps, blinks, glances, speech, .. } = self.settings;
+        let LongSettings { fps, speech, .. } = self.settings;
         let time = (frame - 1) as f32 / fps;
-        let gaze = self.gaze.at(time).map(|angle| angle * glances);
         let mut units = Vec::new();
         for event in &self.events {
             let strength = event.strength(frame);
@@ -144,8 +142,7 @@ impl Timeline {
                 units.extend(shown);
             }
         }
-        let closed = self.blinks.closed_at(time) * blinks;
-        let mut pose = pose_of_face(model, &mut units, closed, gaze)?;
+        let mut pose = self.distractors.pose(model, units, time)?;
         move_head(&mut pose, self.head.at(f64::from(frame - 1) / f64::from(self.frames)));
         Ok(pose)
     }
@@ -168,11 +165,14 @@ impl Timeline {
 
     /// What else happens, with its first and last frame.
     pub fn disturbances(&self) -> Vec<(&'static str, [u32; 2])> {
-        let LongSettings { fps, blinks, speech, .. } = self.settings;
+        let LongSettings { fps, speech, .. } = self.settings;
         let frame = |second: f32| 1 + (second * fps) as u32;
-        let closed = self.blinks.spans().filter(|_| blinks > 0.0).map(|span| ("blink", span.map(frame)));
+        let besides = self
+            .distractors
+            .spans()
+            .map(|(what, span)| (what, span.map(|second| frame(second).min(self.frames))));
         let spoken = self.events.iter().filter(|event| speech > 0.0 && event.what == What::Sentence);
-        closed.chain(spoken.map(|event| ("speech", [event.onset, event.offset]))).collect()
+        besides.chain(spoken.map(|event| ("speech", [event.onset, event.offset]))).collect()
     }
 }
 

@@ -3,13 +3,14 @@
 use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::Key;
-use srflow_head::motion::{Blinks, Gaze, pose_of_face};
-use srflow_head::{HeadModel, HeadModelError, HeadPose, MicroExpression};
+use srflow_head::motion::{Sentences, Speech};
+use srflow_head::{HeadModel, HeadModelError, HeadPose, MicroExpression, Side};
 use srflow_splat::Camera;
 
 use super::portrait::{camera, drift, landmarks_in_image, move_head};
 use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};
 use crate::action_units::{action_unit_sets, coded_units, unit_name};
+use crate::distractors::Distractors;
 use crate::generate::SmoothPath;
 use crate::recording::Light;
 
@@ -20,41 +21,43 @@ const DRIFT_METRES: f32 = 0.00015;
 /// Seconds between control points of the drift.
 const DRIFT_KNOT_SECONDS: f32 = 0.25;
 
-/// A clip begins so many seconds after its person's eyes began to move, at least and at most.
+/// A clip begins so many seconds into what its person does besides, at least and at most.
 const BEFORE_SECONDS: [f32; 2] = [4.0, 12.0];
 
 /// Something other than the expression that a clip shows.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Disturbance {
-    /// `blink` or `glance`.
+    /// `blink`, `glance`, `nod`, `shake` or `speech`.
     pub what: String,
     /// First and last frame.
     pub first: u64,
     pub last: u64,
 }
 
-/// Blinks and glances.
-struct Eyes {
-    blinks: Blinks,
-    gaze: Gaze,
-    /// Strengths of both.
-    strength: [f32; 2],
+/// What the person of a clip does besides.
+struct Besides {
+    distractors: Distractors,
+    speech: Speech,
+    sentences: Sentences,
+    available: Vec<(u8, Side)>,
+    loudness: f32,
     /// Second at which the clip begins.
     start: f32,
     frames_per_second: f32,
 }
 
-impl Eyes {
-    /// `None` where they do not move.
-    fn random(key: Key, settings: &SynthSettings, frames: usize) -> Option<Self> {
-        let strength = [settings.blinks, settings.glances];
+impl Besides {
+    /// `None` where nothing but the expression moves the face.
+    fn random(model: &HeadModel, key: Key, settings: &SynthSettings, frames: usize) -> Option<Self> {
         let [least, most] = BEFORE_SECONDS;
         let start = key.stream("eyes").uniform(least, most);
         let end = start + frames as f32 / settings.fps;
         settings.has_disturbances().then(|| Self {
-            blinks: Blinks::random(key, end),
-            gaze: Gaze::random(key, end),
-            strength,
+            distractors: Distractors::random(key, end, settings.strengths()),
+            speech: Speech::random(key, end, settings.look),
+            sentences: Sentences::random(key, end),
+            available: model.action_units.iter().map(|unit| (unit.number, unit.side)).collect(),
+            loudness: settings.speech,
             start,
             frames_per_second: settings.fps,
         })
@@ -66,17 +69,25 @@ impl Eyes {
         expression: &MicroExpression,
         frame: usize,
     ) -> Result<HeadPose, HeadModelError> {
-        let time = self.start + frame as f32 / self.frames_per_second;
-        let [blinks, glances] = self.strength;
-        let gaze = self.gaze.at(time).map(|angle| angle * glances);
+        let second = self.start + frame as f32 / self.frames_per_second;
+        let loudness = self.loudness * self.sentences.loudness_at(second);
         let mut units = expression.action_units_at(frame);
-        pose_of_face(model, &mut units, self.blinks.closed_at(time) * blinks, gaze)
+        if loudness > 0.0 {
+            for (number, side, spoken) in self.speech.units_at(&self.available, second, loudness) {
+                match units.iter_mut().find(|unit| unit.0 == number && unit.1 == side) {
+                    Some(unit) => unit.2 = (unit.2 + spoken).min(1.0),
+                    None => units.push((number, side, spoken.min(1.0))),
+                }
+            }
+        }
+        self.distractors.pose(model, units, second)
     }
 
     /// What of it falls into the `frames` of the clip.
     fn disturbances(&self, frames: usize) -> Vec<Disturbance> {
         let frame = |second: f32| (second - self.start) * self.frames_per_second;
-        let within = |what: &str, [first, last]: [f32; 2]| {
+        let sentences = self.sentences.spans().filter(|_| self.loudness > 0.0).map(|span| ("speech", span));
+        let within = |(what, [first, last]): (&str, [f32; 2])| {
             let (first, last) = (frame(first).ceil().max(0.0), frame(last).floor().min((frames - 1) as f32));
             (first <= last).then(|| Disturbance {
                 what: what.to_owned(),
@@ -84,11 +95,7 @@ impl Eyes {
                 last: last as u64,
             })
         };
-        let [blinks, glances] = self.strength.map(|strength| strength > 0.0);
-        let blinks = self.blinks.spans().filter(|_| blinks).filter_map(|span| within("blink", span));
-        blinks
-            .chain(self.gaze.shifts().filter(|_| glances).filter_map(|span| within("glance", span)))
-            .collect()
+        self.distractors.spans().chain(sentences).filter_map(within).collect()
     }
 }
 
@@ -98,7 +105,7 @@ pub struct Clip {
     pub light: Light,
     pub key: Key,
     drift: SmoothPath<6>,
-    eyes: Option<Eyes>,
+    besides: Option<Besides>,
     frames: usize,
 }
 
@@ -122,7 +129,7 @@ impl Clip {
             camera: camera(avatar, settings.side, &mut key.stream("framing")),
             light: Light::random(key, settings.lighting),
             drift: drift(&mut key.stream("drift"), points, DRIFT_DEGREES, DRIFT_METRES, settings.drift),
-            eyes: Eyes::random(key, settings, frames),
+            besides: Besides::random(avatar.model(), key, settings, frames),
             expression,
             key,
             frames,
@@ -136,8 +143,8 @@ impl Clip {
     /// The head in a frame.
     pub fn pose(&self, avatar: &Avatar, frame: usize) -> Result<HeadPose, HeadModelError> {
         let (model, expression) = (avatar.model(), &self.expression);
-        let mut pose = match &self.eyes {
-            Some(eyes) => eyes.pose(model, expression, frame)?,
+        let mut pose = match &self.besides {
+            Some(besides) => besides.pose(model, expression, frame)?,
             None => expression.pose(model, frame)?,
         };
         move_head(&mut pose, self.drift.at(frame as f64 / (self.frames - 1).max(1) as f64));
@@ -151,7 +158,7 @@ impl Clip {
 
     /// What the clip shows besides the expression.
     pub fn disturbances(&self) -> Vec<Disturbance> {
-        self.eyes.as_ref().map(|eyes| eyes.disturbances(self.frames)).unwrap_or_default()
+        self.besides.as_ref().map(|besides| besides.disturbances(self.frames)).unwrap_or_default()
     }
 
     /// Action units at the apex, by name.

@@ -10,7 +10,7 @@
 //! s03/c05_mask.png          white on the head at the onset
 //! s03/c05.json              class, action units and their intensities, onset, apex, offset, landmarks; written last
 //! clips.csv                 the dataset as plain clips; written once it is complete
-//! disturbances.csv          every blink and glance, with its first and last frame, if there are any
+//! disturbances.csv          every blink, glance, sentence, nod and shake, with its first and last frame, if there are any
 //! landmarks.csv             the 68 landmarks of dlib in every clip's onset frame
 //! ```
 //!

@@ -10,7 +10,8 @@ use srflow_head::Look;
 
 use crate::RenderError;
 use crate::clap::Args;
-use crate::error::{require, require_strengths};
+use crate::distractors::Strengths;
+use crate::error::{is_none, require, require_strengths};
 #[cfg(feature = "clap")]
 use crate::head::heads_help;
 use crate::head::is_default;
@@ -58,6 +59,18 @@ pub struct SynthSettings {
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().glances)]
     #[serde(skip_serializing_if = "is_none")]
     pub glances: f32,
+    /// Speech; 1 is sentences of one to three seconds now and then
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().speech)]
+    #[serde(skip_serializing_if = "is_none")]
+    pub speech: f32,
+    /// Nods and shakes of the head; 1 is one every 4 to 12 seconds, of up to 5 degrees
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().nods)]
+    #[serde(skip_serializing_if = "is_none")]
+    pub nods: f32,
+    /// Breathing; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().breathing)]
+    #[serde(skip_serializing_if = "is_none")]
+    pub breathing: f32,
     /// Head model, or several, which the subjects show in turn
     #[arg(long, value_name = "HEAD", default_values_t = Self::default().head, help = heads_help())]
     #[serde(skip_serializing_if = "is_default")]
@@ -78,11 +91,6 @@ pub struct SynthSettings {
     pub only_key_frames: bool,
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes references")]
-fn is_none(strength: &f32) -> bool {
-    *strength == 0.0
-}
-
 impl Default for SynthSettings {
     fn default() -> Self {
         Self {
@@ -96,6 +104,9 @@ impl Default for SynthSettings {
             lighting: 1.0,
             blinks: 0.0,
             glances: 0.0,
+            speech: 0.0,
+            nods: 0.0,
+            breathing: 0.0,
             head: vec![HeadSource::builtin()],
             look: Look::default(),
             seed: 1,
@@ -167,9 +178,16 @@ impl ClipPlan {
 }
 
 impl SynthSettings {
-    /// Whether the clips show blinks or glances.
+    /// Whether the clips show anything but expressions and drift.
     pub(super) fn has_disturbances(&self) -> bool {
-        self.blinks > 0.0 || self.glances > 0.0
+        let Self { blinks, glances, speech, nods, breathing, .. } = *self;
+        [blinks, glances, speech, nods, breathing].iter().any(|strength| *strength > 0.0)
+    }
+
+    /// The strengths of what a face does besides.
+    pub(super) fn strengths(&self) -> Strengths {
+        let Self { blinks, glances, nods, breathing, .. } = *self;
+        Strengths { blinks, glances, nods, breathing }
     }
 
     /// Checks the settings and lists the clips, by subject.
@@ -187,6 +205,9 @@ impl SynthSettings {
             ("lighting", self.lighting),
             ("blinks", self.blinks),
             ("glances", self.glances),
+            ("speech", self.speech),
+            ("nods", self.nods),
+            ("breathing", self.breathing),
         ])?;
         let clip = |number: u32| {
             let (subject, within) = (number / self.clips, number % self.clips);
@@ -242,6 +263,8 @@ mod tests {
             (SynthSettings { lighting: f32::NAN, ..default() }, "lighting"),
             (SynthSettings { blinks: 1.5, ..default() }, "blinks"),
             (SynthSettings { glances: -1.0, ..default() }, "glances"),
+            (SynthSettings { nods: 3.0, ..default() }, "nods"),
+            (SynthSettings { breathing: f32::NAN, ..default() }, "breathing"),
         ] {
             let error = settings.plan().unwrap_err().to_string();
             assert!(error.starts_with(argument), "{error}");

@@ -110,15 +110,16 @@ fn without_disturbance_only_the_expression_moves() {
 }
 
 #[test]
-fn blinks_and_glances_move_the_eyes_and_are_listed() {
+fn what_moves_a_face_besides_its_expression_is_listed() {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path();
-    // Nothing but the eyes moves visibly.
+    // The expression is invisible.
     let still = SynthSettings { drift: 0.0, noise: 0.0, lighting: 0.0, intensity: 1e-3, ..settings() };
-    make(&SynthSettings { clips: 9, blinks: 1.0, glances: 1.0, ..still }, dir, 2).unwrap();
+    let besides = SynthSettings { blinks: 1.0, glances: 1.0, speech: 1.0, nods: 1.0, ..still };
+    make(&SynthSettings { clips: 9, ..besides }, dir, 2).unwrap();
     let table = fs::read_to_string(dir.join("disturbances.csv")).unwrap();
     let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
-    for what in ["blink", "glance"] {
+    for what in ["blink", "glance", "speech", "nod"] {
         assert!(rows.iter().any(|row| row[2] == what), "{table}");
     }
     for number in 1..=9 {

@@ -3,7 +3,7 @@ use glam::{Vec2, Vec3};
 use super::curves::{bell, curve, dome, smoothstep};
 use super::half::{Half, Mark, Part};
 use super::identity::Plan;
-use crate::Region;
+use crate::{Look, Region};
 
 /// Directions around the ear.
 const AROUND: usize = 48;
@@ -41,7 +41,7 @@ pub(super) fn add(half: &mut Half, plan: &Plan, root: Vec3) {
             .map(|i| {
                 let angle = std::f32::consts::TAU * i as f32 / AROUND as f32;
                 let direction = Vec2::new(libm::cosf(angle), libm::sinf(angle));
-                let flat = MIDDLE + direction * (outline(angle) * share);
+                let flat = MIDDLE + direction * (outline(angle, plan.look) * share);
                 let height = match behind {
                     None => relief(flat, share, angle),
                     Some(behind) => rim(angle, 1.0) - behind,
@@ -61,7 +61,10 @@ fn lobule(flat: Vec2) -> f32 {
 }
 
 /// Distance from the centre to the outline; the angle is measured from backward to upward.
-fn outline(angle: f32) -> f32 {
+fn outline(angle: f32, look: Look) -> f32 {
+    // The lobule, which is narrow in the second look.
+    let [front, root, bottom, back] =
+        if look == Look::First { [24.5, 30.4, 28.8, 25.2] } else { [21.5, 27.5, 29.0, 23.6] };
     let points = [
         (-58.0, 25.2),
         (-30.0, 20.8),
@@ -74,11 +77,11 @@ fn outline(angle: f32) -> f32 {
         (160.0, 18.0),
         (185.0, 15.5),
         (210.0, 16.0),
-        (235.0, 24.5),
-        (252.0, 30.4),
+        (235.0, front),
+        (252.0, root),
         (270.0, 31.0),
-        (286.0, 28.8),
-        (302.0, 25.2),
+        (286.0, bottom),
+        (302.0, back),
         (330.0, 20.8),
         (360.0, 20.5),
         (390.0, 23.5),

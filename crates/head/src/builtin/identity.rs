@@ -129,7 +129,7 @@ impl Traits {
 
     /// With a form drawn for the person. What is sculpted varies less: the form has most of how faces differ, but for lids, lips and ears.
     fn with_form(self, draw: impl Fn(&str) -> f32) -> Self {
-        const SCULPTED: f32 = 0.5;
+        const SCULPTED: f32 = 0.6;
         let Self { eye_opening, eye_width, eye_tilt, lid_crease, upper_lip, lower_lip, .. } = self;
         let Self { nose_length, nose_width, nose_bridge, nose_hump, nose_tip, nose_turn, .. } = self;
         let Self { ear_size, ear_protrusion, neck_girth, head_length, crown_height, .. } = self;
@@ -151,7 +151,8 @@ impl Traits {
             neck_girth,
             head_length,
             crown_height,
-            form: std::array::from_fn(|mode| 0.85 * draw(&format!("head: form {}", mode + 1))),
+            // Clamped at two deviations, a normal number deviates by 0.88.
+            form: std::array::from_fn(|mode| 1.1 * draw(&format!("head: form {}", mode + 1))),
             ..self.scaled(SCULPTED)
         }
     }

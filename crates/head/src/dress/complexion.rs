@@ -255,7 +255,10 @@ impl<'a> Complexion<'a> {
             // Little light comes back out of them.
             let down = smoothstep((0.35 - point.normal.y) / 0.6);
             let inside: f32 = nostrils.iter().map(|&n| spot(p, n, 3.0)).sum();
-            albedo *= 1.0 - 0.92 * (1.9 * inside * down).min(1.0);
+            let deep: f32 = nostrils.iter().map(|&n| spot(p, n, 1.7)).sum();
+            // Nor out of the corner below, between nose and lip.
+            let corner = 0.45 * spot(p, (nostrils[0] + nostrils[1]) * 0.5 - Vec3::Y * (2.5 * MM), 3.5);
+            albedo *= 1.0 - 0.92 * (1.9 * inside * down + 0.9 * deep + corner).min(1.0);
         }
         let bags: f32 = places.bags.iter().map(|&b| spot(p, b, 7.5)).sum();
         let lids: f32 = places.eyes.iter().map(|&e| spot(p, e + Vec3::Z * (12.0 * MM), 10.0)).sum();

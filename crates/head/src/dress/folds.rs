@@ -58,11 +58,11 @@ static FOLDS: [Fold; 22] = [
     // From the wing of the nose to beside the corner of the mouth; the cheek bulges over it.
     Fold {
         line: NASOLABIAL,
-        depth: [0.85, 1.3],
-        width: 2.0,
-        bulge: 0.3,
+        depth: [0.95, 1.35],
+        width: 2.3,
+        bulge: 0.45,
         at_rest: [0.0, 0.3],
-        fades: [0.4, 0.06],
+        fades: [0.5, 0.06],
         units: &[(12, 1.0), (10, 0.75), (9, 0.5), (6, 0.2), (14, 0.3), (20, 0.3)],
     },
     // Crow's feet.

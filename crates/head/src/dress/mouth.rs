@@ -4,9 +4,9 @@ use glam::Vec3;
 
 use super::light::{Exposure, Material, shade};
 use super::skin::flat;
-use super::surface::SurfacePoint;
+use super::surface::{Surface, SurfacePoint};
 use super::{Dressing, smoothstep};
-use crate::Region;
+use crate::{Look, Region};
 
 const MM: f32 = 1e-3;
 
@@ -32,23 +32,46 @@ fn teeth(dressing: &mut Dressing) {
     let throat = lips - Vec3::Z * (0.045 * surface.size);
     let mut triangles = surface.triangles_of(&[Region::Teeth]);
     // The sides towards the tongue are not visible.
+    let least = if dressing.look == Look::First { -0.45 } else { 0.0 };
     triangles.retain(|&t| {
         let frame = surface.frames[t as usize];
         let normal = frame.rotation * Vec3::Y;
         let outward = ((frame.origin - throat) * Vec3::new(1.0, 0.0, 1.0)).normalize_or(Vec3::Z);
-        normal.dot(outward) > -0.45
+        normal.dot(outward) > least
     });
+    let gaps = gaps(surface);
+    let dense = if dressing.look == Look::First { 0.62 } else { 0.4 };
     let spacing = |point: &SurfacePoint| {
         let depth = ((lips.z - point.position.z) / surface.size).max(0.0);
-        (0.62 + 1.1 * smoothstep((depth - 10.0 * MM) / (25.0 * MM))) * MM * surface.size
+        (dense + 1.1 * smoothstep((depth - 10.0 * MM) / (25.0 * MM))) * MM * surface.size
     };
     for point in surface.scatter(&triangles, spacing, &mut stream) {
         let ivory = Vec3::new(0.70, 0.64, 0.54) * (1.0 + stream.uniform(-0.03, 0.03));
         let material = Material { albedo: ivory, wrap: Vec3::splat(0.3), sheen: 0.12, gloss: 40.0 };
-        let color = shade(&material, point.normal, &exposure_behind(dressing, point.position));
-        let sigma = spacing(&point) * 0.72;
+        let mut color = shade(&material, point.normal, &exposure_behind(dressing, point.position));
+        if dressing.look >= Look::Second {
+            let gap = surface.value(&gaps, &point);
+            color *= Vec3::ONE - Vec3::new(0.6, 0.7, 0.75) * gap;
+        }
+        let sigma = spacing(&point) * if dressing.look == Look::First { 0.72 } else { 0.95 };
         dressing.add(point.triangle, flat(point.position, point.normal, sigma, sigma * 0.2, color, 0.98));
     }
+}
+
+/// How much of a gap each vertex is in, `0..=1`: where the surface around it rises on all sides, as between two teeth and at the gum.
+fn gaps(surface: &Surface) -> Vec<f32> {
+    let mut rises = vec![(0.0_f32, 0.0_f32); surface.vertices.len()];
+    for t in surface.triangles_of(&[Region::Teeth]) {
+        let corners = surface.model.triangles[t as usize].map(|v| v as usize);
+        for (i, a) in corners.into_iter().enumerate() {
+            for b in [corners[(i + 1) % 3], corners[(i + 2) % 3]] {
+                let way = (surface.vertices[b] - surface.vertices[a]).normalize_or_zero();
+                rises[a].0 += way.dot(surface.normals[a]);
+                rises[a].1 += 1.0;
+            }
+        }
+    }
+    rises.into_iter().map(|(rise, count)| smoothstep((rise / count.max(1.0) - 0.01) / 0.07)).collect()
 }
 
 fn inside(dressing: &mut Dressing) {

@@ -9,6 +9,7 @@ use std::str::FromStr;
 use srflow_core::random::Key;
 use srflow_core::{Image, parse_color};
 use srflow_files::read_image;
+use srflow_head::Look;
 use srflow_splat::Frame;
 
 use crate::RenderError;
@@ -64,10 +65,11 @@ pub(super) fn behind(
     name: Option<&str>,
     (width, height): (usize, usize),
     key: Key,
+    look: Look,
 ) -> Result<Option<Image>, RenderError> {
     Ok(match (background, name) {
         (Background::Images(dir), Some(name)) => Some(load(&dir.join(name), width, height)?),
-        (Background::Procedural, _) => Some(procedural::procedural(width, height, key)),
+        (Background::Procedural, _) => Some(procedural::procedural(width, height, key, look)),
         (Background::Images(_), None) | (Background::Colour(_), _) => None,
     })
 }

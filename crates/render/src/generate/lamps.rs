@@ -3,8 +3,8 @@
 use glam::Vec3;
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::{Key, Stream};
-use srflow_head::vertex_normals;
-use srflow_splat::{Gaussians, scale_colour};
+use srflow_head::{Look, vertex_normals};
+use srflow_splat::{Gaussians, SH_0, scale_colour};
 
 use crate::recording::coded;
 
@@ -16,6 +16,7 @@ const LIGHT: (f32, f32) = (0.2, 2.5);
 pub(super) struct Lamps {
     ambient: Vec3,
     lamps: Vec<Lamp>,
+    look: Look,
 }
 
 #[derive(Debug, Clone)]
@@ -29,11 +30,11 @@ struct Lamp {
 impl Lamps {
     /// One to three lamps and ambient light, which together leave a head that is lit from all sides of its front as it was on
     /// average. `strength`, 0 to 1, is the share of the light that comes from lamps at most.
-    pub fn random(key: Key, strength: f32) -> Self {
+    pub fn random(key: Key, strength: f32, look: Look) -> Self {
         let mut stream = key.stream("lamps");
         let directed = strength * stream.uniform(0.3, 1.0);
         let count = 1 + stream.below(3);
-        let mut lamps = Self { ambient: Vec3::splat(1.0 - directed), lamps: Vec::new() };
+        let mut lamps = Self { ambient: Vec3::splat(1.0 - directed), lamps: Vec::new(), look };
         for number in 0..count {
             // Each is half as strong as the one before, and may stand farther to the side and behind.
             let light = directed * libm::exp2f(-(number as f32)) * tint(&mut stream);
@@ -69,10 +70,32 @@ impl Lamps {
         let coefficients = gaussians.sh_len();
         let triangles = avatar.bound().triangles();
         for (sh, &triangle) in gaussians.sh.chunks_mut(coefficients).zip(triangles) {
-            let Some(light) = lights.get(triangle as usize) else { continue };
-            scale_colour(sh, *light, 0.5);
+            let Some(&light) = lights.get(triangle as usize) else { continue };
+            let light = match self.look {
+                Look::First => light,
+                Look::Second => developed(sh[0].map(|c| 0.5 + SH_0 as f32 * c), light),
+            };
+            scale_colour(sh, light, 0.5);
         }
     }
+}
+
+/// Coded colours above the first are compressed, and stay below the second, as by a camera that exposes for the face.
+const SHOULDER: [f32; 2] = [0.66, 0.9];
+
+/// The factors of light on a colour as a camera shows them: shadows on skin are redder, for light that reaches them was in the skin before,
+/// and bright colours keep their hue.
+fn developed(colour: [f32; 3], light: [f32; 3]) -> [f32; 3] {
+    const WARMTH: [f32; 3] = [0.82, 1.0, 1.06];
+    let light = [0, 1, 2].map(|c| if light[c] < 1.0 { libm::powf(light[c], WARMTH[c]) } else { light[c] });
+    let brightest = (0..3).map(|c| colour[c] * light[c]).fold(0.0, f32::max);
+    let [shoulder, most] = SHOULDER;
+    if brightest <= shoulder {
+        return light;
+    }
+    let room = most - shoulder;
+    let shown = shoulder + room * (1.0 - libm::expf((shoulder - brightest) / room));
+    light.map(|factor| factor * shown / brightest)
 }
 
 /// Warm, white or cool.
@@ -99,7 +122,6 @@ fn normals(avatar: &Avatar, head: &PosedHead) -> Vec<Vec3> {
 #[cfg(test)]
 mod tests {
     use srflow_head::HeadPose;
-    use srflow_splat::SH_0;
 
     use super::*;
 
@@ -114,7 +136,7 @@ mod tests {
         let avatar = Avatar::builtin(2).unwrap();
         let (head, plain) = posed(&avatar);
         let left = Lamp { direction: Vec3::X, light: Vec3::splat(1.0) };
-        let lamps = Lamps { ambient: Vec3::splat(0.5), lamps: vec![left] };
+        let lamps = Lamps { ambient: Vec3::splat(0.5), lamps: vec![left], look: Look::First };
         let mut shaded = plain.clone();
         lamps.shade(&avatar, &head, &mut shaded);
         let colour = |sh: &[f32; 3]| 0.5 + SH_0 as f32 * sh[1];
@@ -131,12 +153,12 @@ mod tests {
         assert_eq!(plain.positions, shaded.positions);
 
         for scene in 0..50 {
-            let lamps = Lamps::random(Key::new(3).scene(scene), 1.0);
+            let lamps = Lamps::random(Key::new(3).scene(scene), 1.0, Look::Second);
             let front = lamps.at(Vec3::Z).element_sum() / 3.0;
             assert!((0.5..2.0).contains(&front), "{scene}: {front}");
         }
         let mut same = plain.clone();
-        Lamps::random(Key::new(3), 0.0).shade(&avatar, &head, &mut same);
+        Lamps::random(Key::new(3), 0.0, Look::First).shade(&avatar, &head, &mut same);
         let pairs = same.sh.as_flattened().iter().zip(plain.sh.as_flattened());
         assert!(pairs.clone().all(|(a, b)| (a - b).abs() < 1e-4));
     }

@@ -143,12 +143,13 @@ impl Scene {
     ) -> Result<Self, RenderError> {
         let key = Key::new(settings.seed).scene(number);
         let size = (settings.size.width, settings.size.height);
-        let background = background::behind(&settings.background, entry.background.as_deref(), size, key)?;
+        let name = entry.background.as_deref();
+        let background = background::behind(&settings.background, name, size, key, settings.look)?;
         let action = Action::new(settings, rig, number, entry, avatar.model());
         let action = Action { home: avatar.home(), recorded: settings.motion.poses(&avatar)?, ..action };
         let recorder = (!settings.recording.is_none()).then(|| Recorder::new(&settings.recording, key));
         let lamps = settings.recording.lamps;
-        let lamps = (lamps > 0.0).then(|| Lamps::random(key, lamps));
+        let lamps = (lamps > 0.0).then(|| Lamps::random(key, lamps, settings.look));
         Ok(Self { entry: entry.clone(), avatar, background, recorder, lamps, action })
     }
 

@@ -2,10 +2,13 @@
 //!
 //! Places are in heights of the picture from its centre, to the right and down. Colours are coded values from 0 to 1.
 
+use std::f32::consts::FRAC_PI_2;
+
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 use srflow_core::Image;
 use srflow_core::random::{Key, Stream};
+use srflow_head::Look;
 
 use crate::recording::defocus;
 use crate::shapes::Texture;
@@ -13,12 +16,15 @@ use crate::shapes::Texture;
 /// Greatest radius of the defocus, in heights of the picture.
 const GREATEST_DEFOCUS: f32 = 0.012;
 
+/// Least radius in the second look, as a part of the greatest: what is behind a head is never as sharp as the head.
+const LEAST_DEFOCUS: f32 = 0.15;
+
 type Colour = [f32; 3];
 
 /// The background of the scene of `key`. It does not move.
-pub(super) fn procedural(width: usize, height: usize, key: Key) -> Image {
+pub(super) fn procedural(width: usize, height: usize, key: Key, look: Look) -> Image {
     let mut stream = key.stream("procedural background");
-    let mut canvas = Canvas::new(width, height);
+    let mut canvas = Canvas::new(width, height, look);
     match stream.below(20) {
         0..11 => room(&mut canvas, &mut stream),
         11..14 => texture(&mut canvas, &mut stream),
@@ -29,7 +35,9 @@ pub(super) fn procedural(width: usize, height: usize, key: Key) -> Image {
     let mut image = canvas.image();
     // Squared: most backgrounds are nearly in focus.
     let softness = stream.unit();
-    defocus(&mut image, GREATEST_DEFOCUS * softness * softness * height as f32);
+    let softness = softness * softness;
+    let softness = if look == Look::First { softness } else { softness.max(LEAST_DEFOCUS) };
+    defocus(&mut image, GREATEST_DEFOCUS * softness * height as f32);
     image
 }
 
@@ -145,7 +153,10 @@ fn door(canvas: &mut Canvas, stream: &mut Stream, [x, _]: [f32; 2]) {
 fn plant(canvas: &mut Canvas, stream: &mut Stream, centre: [f32; 2]) {
     let (green, size) =
         ([stream.uniform(0.1, 0.4), stream.uniform(0.3, 0.6), stream.uniform(0.05, 0.3)], 0.14);
-    for _ in 0..40 {
+    if canvas.look >= Look::Second {
+        leaves(canvas, stream, [centre[0], centre[1] + 0.1], green);
+    }
+    for _ in 0..if canvas.look == Look::First { 40 } else { 0 } {
         let place = centre.map(|middle| middle + size * stream.normal().clamp(-2.0, 2.0) * 0.5);
         let leaf = [stream.uniform(0.008, 0.035), stream.uniform(0.008, 0.035)];
         let shade = scaled(green, stream.uniform(0.4, 1.4));
@@ -155,6 +166,27 @@ fn plant(canvas: &mut Canvas, stream: &mut Stream, centre: [f32; 2]) {
     canvas.paint(
         &Shape::rectangle([centre[0], centre[1] + 0.16], [0.06, 0.06]).coloured(pot, scaled(pot, 0.6)),
     );
+}
+
+/// Pointed leaves that rise from a place to all sides; the later ones are in front, in more light.
+fn leaves(canvas: &mut Canvas, stream: &mut Stream, root: [f32; 2], green: Colour) {
+    let (slender, count) = (stream.uniform(0.16, 0.42), 14 + stream.below(16));
+    for number in 0..count {
+        let lean = stream.uniform(-1.35, 1.35);
+        let reach = stream.uniform(0.05, 0.2) * (1.0 - 0.25 * lean.abs());
+        let (across, down) = (libm::sinf(lean), -libm::cosf(lean));
+        let shade = scaled(green, 0.45 + 0.7 * number as f32 / count as f32 + stream.uniform(-0.1, 0.1));
+        let at = |share: f32| [root[0] + across * reach * share, root[1] + down * reach * share];
+        let stem = Shape::leaf(at(0.5), [0.5 * reach, 0.0025], lean - FRAC_PI_2);
+        canvas.paint(&stem.coloured(scaled(shade, 0.7), scaled(shade, 0.5)));
+        let half = stream.uniform(0.026, 0.055);
+        let droop = lean - FRAC_PI_2 + stream.uniform(-0.4, 0.6) * lean.signum();
+        let blade = Shape::leaf(at(1.0), [half, slender * half], droop);
+        canvas.paint(&blade.coloured(scaled(shade, 1.25), scaled(shade, 0.8)));
+        // The vein.
+        let vein = Shape::leaf(at(1.0), [0.9 * half, 0.06 * half], droop);
+        canvas.paint(&vein.coloured(scaled(shade, 1.45), scaled(shade, 1.3)).opaque(0.7));
+    }
 }
 
 fn lamp(canvas: &mut Canvas, stream: &mut Stream, centre: [f32; 2]) {
@@ -187,11 +219,12 @@ fn lights(canvas: &mut Canvas, stream: &mut Stream) {
     let (from, to) = (colour(stream, 0.05..0.35, 0.5), colour(stream, 0.02..0.2, 0.5));
     gradient_between(canvas, stream, from, to);
     let size = stream.uniform(0.015, 0.06);
+    let edge = if canvas.look == Look::First { 0.15 } else { 0.4 };
     for _ in 0..10 + stream.below(50) {
         let centre = [stream.uniform(-canvas.half_width(), canvas.half_width()), stream.uniform(-0.5, 0.5)];
         let glow = colour(stream, 0.7..1.0, 0.6);
         let disc = Shape::ellipse(centre, [size * stream.uniform(0.7, 1.2); 2]).coloured(glow, glow);
-        canvas.paint(&disc.opaque(stream.uniform(0.15, 0.8)).soft(0.15 * size));
+        canvas.paint(&disc.opaque(stream.uniform(0.15, 0.8)).soft(edge * size));
     }
 }
 
@@ -244,12 +277,12 @@ fn mixed(from: Colour, to: Colour, share: f32) -> Colour {
     std::array::from_fn(|channel| from[channel] + (to[channel] - from[channel]) * share)
 }
 
-/// A rectangle along the axes, or an ellipse.
+/// A rectangle or an ellipse along the axes, or a leaf.
 #[derive(Debug, Clone)]
 struct Shape {
     centre: [f32; 2],
     half: [f32; 2],
-    round: bool,
+    outline: Outline,
     top: Colour,
     bottom: Colour,
     opacity: f32,
@@ -257,13 +290,26 @@ struct Shape {
     softness: f32,
 }
 
+#[derive(Debug, Clone, Copy)]
+enum Outline {
+    Rectangle,
+    Ellipse,
+    /// Pointed at both ends, its length turned clockwise by these radians.
+    Leaf(f32),
+}
+
 impl Shape {
     fn rectangle(centre: [f32; 2], half: [f32; 2]) -> Self {
-        Self { centre, half, round: false, top: [0.0; 3], bottom: [0.0; 3], opacity: 1.0, softness: 0.0 }
+        let (top, bottom) = ([0.0; 3], [0.0; 3]);
+        Self { centre, half, outline: Outline::Rectangle, top, bottom, opacity: 1.0, softness: 0.0 }
     }
 
     fn ellipse(centre: [f32; 2], half: [f32; 2]) -> Self {
-        Self { round: true, ..Self::rectangle(centre, half) }
+        Self { outline: Outline::Ellipse, ..Self::rectangle(centre, half) }
+    }
+
+    fn leaf(centre: [f32; 2], half: [f32; 2], turn: f32) -> Self {
+        Self { outline: Outline::Leaf(turn), ..Self::rectangle(centre, half) }
     }
 
     fn coloured(&self, top: Colour, bottom: Colour) -> Self {
@@ -281,11 +327,23 @@ impl Shape {
     /// Distance of a place outside of the border, about; negative inside.
     fn distance(&self, offset: [f32; 2]) -> f32 {
         let [x, y] = [0, 1].map(|axis| offset[axis].abs());
-        if self.round {
-            let [a, b] = self.half;
-            ((x * x / (a * a) + y * y / (b * b)).sqrt() - 1.0) * a.min(b)
-        } else {
-            (x - self.half[0]).max(y - self.half[1])
+        let [a, b] = self.half;
+        match self.outline {
+            Outline::Rectangle => (x - a).max(y - b),
+            Outline::Ellipse => ((x * x / (a * a) + y * y / (b * b)).sqrt() - 1.0) * a.min(b),
+            Outline::Leaf(turn) => {
+                let (sine, cosine) = (libm::sinf(turn), libm::cosf(turn));
+                let along = (offset[0] * cosine + offset[1] * sine) / a;
+                (offset[1] * cosine - offset[0] * sine).abs() - b * (1.0 - along * along)
+            }
+        }
+    }
+
+    /// How far it reaches from its centre along an axis.
+    fn reach(&self, axis: usize) -> f32 {
+        match self.outline {
+            Outline::Leaf(_) => self.half[0].max(self.half[1]),
+            _ => self.half[axis],
         }
     }
 }
@@ -293,12 +351,13 @@ impl Shape {
 struct Canvas {
     width: usize,
     height: usize,
+    look: Look,
     pixels: Vec<Colour>,
 }
 
 impl Canvas {
-    fn new(width: usize, height: usize) -> Self {
-        Self { width, height, pixels: vec![[0.0; 3]; width * height] }
+    fn new(width: usize, height: usize, look: Look) -> Self {
+        Self { width, height, look, pixels: vec![[0.0; 3]; width * height] }
     }
 
     /// Half of the width, in heights.
@@ -323,14 +382,14 @@ impl Canvas {
         let softness = shape.softness.max(pitch);
         // The pixels from and to which a shape reaches along one axis.
         let span = |axis: usize, half: f32, len: usize| {
-            let reach = shape.half[axis] + 0.5 * softness;
+            let reach = shape.reach(axis) + 0.5 * softness;
             let place = |at: f32| ((at + half) / pitch).clamp(0.0, len as f32) as usize;
             place(shape.centre[axis] - reach)..(place(shape.centre[axis] + reach) + 1).min(len)
         };
         let columns = span(0, half_width, self.width);
         for y in span(1, 0.5, self.height) {
             let down = (y as f32 + 0.5) * pitch - 0.5 - shape.centre[1];
-            let colour = mixed(shape.top, shape.bottom, (0.5 + 0.5 * down / shape.half[1]).clamp(0.0, 1.0));
+            let colour = mixed(shape.top, shape.bottom, (0.5 + 0.5 * down / shape.reach(1)).clamp(0.0, 1.0));
             for x in columns.clone() {
                 let across = (x as f32 + 0.5) * pitch - half_width - shape.centre[0];
                 let covered = (0.5 - shape.distance([across, down]) / softness).clamp(0.0, 1.0);
@@ -355,7 +414,8 @@ mod tests {
     #[test]
     fn backgrounds_are_filled_and_differ_by_scene() {
         let key = Key::new(7);
-        let all: Vec<Image> = (0..40).map(|scene| procedural(60, 80, key.scene(scene))).collect();
+        let all: Vec<Image> =
+            (0..40).map(|scene| procedural(60, 80, key.scene(scene), Look::Second)).collect();
         for (number, image) in all.iter().enumerate() {
             let values = image.pixels().as_flattened();
             let mean = values.iter().map(|&value| f64::from(value)).sum::<f64>() / values.len() as f64;
@@ -363,7 +423,7 @@ mod tests {
             assert!(image.pixels().iter().any(|pixel| *pixel != image.get(0, 0)), "{number}");
             assert!(!all[..number].contains(image), "{number}");
         }
-        assert_eq!(procedural(60, 80, key.scene(3)), all[3]);
+        assert_eq!(procedural(60, 80, key.scene(3), Look::Second), all[3]);
     }
 
     #[test]
@@ -371,7 +431,9 @@ mod tests {
         let with = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
-                (0..8).map(|scene| procedural(90, 130, Key::new(1).scene(scene))).collect::<Vec<_>>()
+                (0..8)
+                    .map(|scene| procedural(90, 130, Key::new(1).scene(scene), Look::Second))
+                    .collect::<Vec<_>>()
             })
         };
         assert!(with(1) == with(3));
@@ -381,7 +443,8 @@ mod tests {
     fn a_size_shows_the_same_scene() {
         for scene in 0..20 {
             let key = Key::new(2).scene(scene);
-            let (small, large) = (procedural(60, 80, key), procedural(240, 320, key));
+            let (small, large) =
+                (procedural(60, 80, key, Look::First), procedural(240, 320, key, Look::First));
             let mean = |image: &Image| {
                 image.pixels().iter().map(|pixel| f64::from(pixel[1])).sum::<f64>()
                     / image.pixels().len() as f64

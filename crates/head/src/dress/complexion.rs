@@ -214,8 +214,10 @@ impl<'a> Complexion<'a> {
         if cloth > 0.0 {
             return self.cloth_color(p, point.normal, cloth, exposure);
         }
-        let lip = smoothstep((self.lip(point) + 0.9 * MM) / (1.8 * MM));
-        let mut albedo = self.skin_albedo(point, p).lerp(self.lip_albedo(p), lip);
+        let into_lips = self.lip(point);
+        let soft = if self.look == Look::First { 0.9 * MM } else { 1.5 * MM };
+        let lip = smoothstep((into_lips + soft) / (2.0 * soft));
+        let mut albedo = self.skin_albedo(point, p).lerp(self.lip_albedo(p, into_lips), lip);
         albedo *= 1.0 - 0.35 * smoothstep((cloth + 5.0 * MM) / (5.0 * MM));
         let normal = if fine {
             albedo *= 1.0 + stream.uniform(-0.04, 0.04);
@@ -229,7 +231,7 @@ impl<'a> Complexion<'a> {
         let (sheen, gloss) = match self.look {
             Look::First => (0.035 + 0.035 * oily, 13.0),
             // Oil shines in small highlights between the pores.
-            Look::Second => (0.045 + 0.075 * oily, 16.0 + 10.0 * oily),
+            Look::Second => (0.05 + 0.085 * oily, 22.0 + 12.0 * oily),
         };
         let (sheen, gloss) = (sheen + 0.055 * lip, gloss + 14.0 * lip);
         let material = Material { albedo, wrap: SKIN_WRAP, sheen, gloss };
@@ -272,13 +274,28 @@ impl<'a> Complexion<'a> {
             _ => 0.95,
         };
         let scalp = self.surface.value(&self.scalp, point) / self.surface.size;
-        let ragged = self.blotches.at(p * 300.0) * 2.5 * MM;
-        albedo.lerp(a.hair * 0.5, hair * smoothstep((scalp + ragged) / (9.0 * MM)))
+        let covered = match self.look {
+            Look::First => (scalp + self.blotches.at(p * 300.0) * 2.5 * MM) / (9.0 * MM),
+            // Hair thins out towards the hairline.
+            Look::Second => {
+                let ragged = self.blotches.at(p * 900.0) * 1.2 + self.blotches.at(p * 110.0) * 2.5 - 1.5;
+                (scalp + ragged * MM) / (17.0 * MM)
+            }
+        };
+        albedo.lerp(a.hair * 0.5, hair * smoothstep(covered))
     }
 
-    fn lip_albedo(&self, p: Vec3) -> Vec3 {
+    fn lip_albedo(&self, p: Vec3, into_lips: f32) -> Vec3 {
         let lines = self.lip_lines(p);
-        self.appearance.lips * (1.0 + 0.14 * lines + 0.06 * self.blotches.at(p * 400.0))
+        let even = self.appearance.lips * (1.0 + 0.14 * lines + 0.06 * self.blotches.at(p * 400.0));
+        match self.look {
+            Look::First => even,
+            // Redder and darker to the line between the lips.
+            Look::Second => {
+                let inner = smoothstep((into_lips - 1.0 * MM) / (5.0 * MM));
+                even * Vec3::new(1.04, 1.1, 1.1).lerp(Vec3::new(0.86, 0.72, 0.74), inner)
+            }
+        }
     }
 
     /// The fine vertical lines of the lips.
@@ -307,7 +324,7 @@ impl<'a> Complexion<'a> {
             |axis: Vec3| self.relief_height(p + axis * d, lip) - self.relief_height(p - axis * d, lip);
         let gradient = Vec3::new(slope(Vec3::X), slope(Vec3::Y), slope(Vec3::Z));
         let tangent = gradient - normal * normal.dot(gradient);
-        let depth = if self.look == Look::First { 0.21 } else { 0.29 };
+        let depth = if self.look == Look::First { 0.21 } else { 0.38 };
         (normal - tangent * depth).normalize_or(normal)
     }
 

@@ -211,13 +211,17 @@ fn tear_lines(dressing: &mut Dressing, stream: &mut Stream) {
             let position = on_lid + inward * (0.15 * MM * size) + Vec3::Y * (0.35 * MM * size);
             let along =
                 super::catmull_rom(&curve, (t + 0.02).min(1.0)) - super::catmull_rom(&curve, t - 0.02);
-            let glint = 0.5 + 0.5 * libm::sinf(t * TAU * 1.5 + stream.unit());
+            let glint: f32 = 0.5 + 0.5 * libm::sinf(t * TAU * 1.5 + stream.unit());
+            let (opacity, color) = match dressing.look {
+                Look::First => (0.18 + 0.35 * glint, Vec3::new(0.97, 0.93, 0.91)),
+                Look::Second => (0.1 + 0.32 * glint, Vec3::new(0.82, 0.74, 0.72)),
+            };
             let splat = super::Splat {
                 position,
                 scale: Vec3::new(0.42, 0.11, 0.11) * (MM * size),
                 rotation: super::surface::rotation_along(along, Vec3::Z),
-                opacity: 0.18 + 0.35 * glint,
-                color: Vec3::new(0.97, 0.93, 0.91),
+                opacity,
+                color,
             };
             dressing.add(lid.triangle, splat);
         }

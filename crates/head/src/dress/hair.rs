@@ -113,11 +113,12 @@ pub(super) fn dress_hair(dressing: &mut Dressing) {
     let scalp = surface.triangles_of(&[Region::Scalp]);
     let fringe = surface.signed_distance(&[Region::Scalp], 0.02);
     let spacing = |point: &SurfacePoint| growth.spacing(point.position);
+    let fade = if dressing.look == Look::First { 6.0 * MM } else { 11.0 * MM };
     for root in surface.scatter(&scalp, spacing, &mut stream) {
         let inside = surface.value(&fringe, &root) / surface.size;
         // Sparser and shorter towards the hairline.
         let density =
-            smoothstep((inside + 1.0 * MM + growth.noise.at(root.position * 180.0) * 2.5 * MM) / (6.0 * MM));
+            smoothstep((inside + 1.0 * MM + growth.noise.at(root.position * 180.0) * 2.5 * MM) / fade);
         if stream.unit() < density {
             growth.grow(dressing, &root, 0.45 + 0.55 * smoothstep(inside / (16.0 * MM)), &mut stream);
         }
@@ -213,10 +214,12 @@ impl<'a> Growth<'a> {
             key: (0.45 + 0.55 * seen.key) * depth,
             fill: (0.4 + 0.6 * seen.fill) * depth,
         };
+        // Hair is finer at the hairline.
+        let thin = if loose { 0.3 + 0.7 * grown } else { 1.0 };
         let root_shade = if self.cut.segments > 1 { 0.45 } else { 0.9 };
         let strand = Strand {
             points: &points,
-            width: self.cut.width * MM * size * if strays { 0.35 } else { stream.uniform(0.75, 1.2) },
+            width: self.cut.width * MM * size * thin * if strays { 0.35 } else { stream.uniform(0.75, 1.2) },
             taper: 0.5,
             opacity: if self.cut.segments > 1 { 0.88 } else { 0.75 },
             albedo: [albedo * root_shade, albedo * 1.12],

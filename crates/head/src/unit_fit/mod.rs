@@ -49,6 +49,8 @@ pub struct UnitQuality {
 pub struct Left {
     pub skin: f64,
     pub landmarks: f64,
+    /// Cosine between the displacements of the 68 landmarks: 1 where the motions differ in strength alone.
+    pub cosine: f64,
 }
 
 /// Compares the action units of `model` with those of the average built-in head, which are carried onto its neutral surface by a smooth
@@ -126,13 +128,17 @@ impl Carried {
         landmarks: impl Iterator<Item = DVec3>,
     ) -> Left {
         let off = self.length(skin.zip(&unit.surface).map(|(moved, wanted)| moved - *wanted));
-        let length =
-            |moved: &mut dyn Iterator<Item = DVec3>| moved.map(DVec3::length_squared).sum::<f64>().sqrt();
-        let off_landmarks =
-            length(&mut landmarks.zip(&unit.landmarks).map(|(moved, wanted)| moved - *wanted));
+        let [mut off_landmarks, mut moved_by, mut wanted_by, mut along] = [0.0; 4];
+        for (moved, wanted) in landmarks.zip(&unit.landmarks) {
+            off_landmarks += (moved - *wanted).length_squared();
+            moved_by += moved.length_squared();
+            wanted_by += wanted.length_squared();
+            along += moved.dot(*wanted);
+        }
         Left {
             skin: off / self.length(unit.surface.iter().copied()),
-            landmarks: off_landmarks / length(&mut unit.landmarks.iter().copied()),
+            landmarks: (off_landmarks / wanted_by).sqrt(),
+            cosine: along / (moved_by * wanted_by).sqrt().max(f64::MIN_POSITIVE),
         }
     }
 }

@@ -17,7 +17,8 @@ use crate::{Job, Report, Watch};
 /// Show how well a head model does each action unit, and write its table of units
 ///
 /// Each unit is compared with that of the built-in head, whose deformation is carried onto the model by a smooth map between the
-/// landmarks. The shares say how much of the motion remains: 0 is the same motion, 1 as good as none.
+/// landmarks. The shares say how much of the motion remains: 0 is the same motion, 1 as good as none. The cosine compares the
+/// directions alone.
 ///
 /// A table called action_units.json beside a model is read with it, instead of the units that the model would have.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -58,6 +59,7 @@ impl Job for UnitsJob {
             write_units(output, &model, &qualities)?;
         }
         let unit = |unit: &UnitQuality| UnitReport {
+            cosine_at_landmarks: unit.left.map(|left| left.cosine),
             left_at_landmarks: unit.left.map(|left| left.landmarks),
             left_on_skin: unit.left.map(|left| left.skin),
             motion_mm: 1e3 * unit.motion,
@@ -84,6 +86,8 @@ pub struct UnitsReport {
 /// An action unit of the built-in head. The shares say how much of its motion remains; they are `None` where the model lacks the unit.
 #[derive(Debug, Clone, Serialize)]
 pub struct UnitReport {
+    /// Between the displacements of the 68 landmarks: 1 where the motions differ in strength alone.
+    pub cosine_at_landmarks: Option<f64>,
     pub left_at_landmarks: Option<f64>,
     pub left_on_skin: Option<f64>,
     /// Root mean square over the skin at full intensity.
@@ -108,7 +112,8 @@ fn table(UnitsReport { listed, units, .. }: &UnitsReport) -> Table {
             Side::Right => " right",
         };
         let percent = |share: Option<f64>| share.map(|share| 100.0 * share);
-        let values = vec![Some(unit.motion_mm), percent(unit.left_on_skin), percent(unit.left_at_landmarks)];
+        let [skin, landmarks] = [unit.left_on_skin, unit.left_at_landmarks].map(percent);
+        let values = vec![Some(unit.motion_mm), skin, landmarks, unit.cosine_at_landmarks];
         Row { name: format!("AU {}{side}", unit.number), values, baseline: false }
     };
     let mut rows: Vec<Row> = units.iter().map(row).collect();
@@ -118,7 +123,7 @@ fn table(UnitsReport { listed, units, .. }: &UnitsReport) -> Table {
             let sum: f64 = rows.iter().filter_map(|row| row.values[column]).sum();
             Some(sum / rows.iter().filter(|row| row.values[column].is_some()).count() as f64)
         };
-        let values = vec![mean(0), mean(1), mean(2)];
+        let values = (0..4).map(mean).collect();
         rows.push(Row { name: "mean".to_owned(), values, baseline: false });
     }
     let compared = match units.len() {
@@ -126,7 +131,7 @@ fn table(UnitsReport { listed, units, .. }: &UnitsReport) -> Table {
             .to_owned(),
         all => format!(
             "The model shows {shown} of the {all} units of the built-in head. Motion: root mean square over the skin at full intensity. \
-             Remaining: length of the difference relative to the length of the motion."
+             Remaining: length of the difference relative to the length of the motion. Cosine: 1 where only the strength differs."
         ),
     };
     Table {
@@ -135,6 +140,7 @@ fn table(UnitsReport { listed, units, .. }: &UnitsReport) -> Table {
             Column::plain("motion_mm", "motion, mm", 2),
             Column::plain("left_on_skin", "% remaining on the skin", 0),
             Column::plain("left_at_landmarks", "% remaining at the landmarks", 0),
+            Column::plain("cosine_at_landmarks", "cosine at the landmarks", 2),
         ],
         rows,
         notes: vec![compared],

@@ -25,18 +25,21 @@ type Colour = [f32; 3];
 pub(super) fn procedural(width: usize, height: usize, key: Key, look: Look) -> Image {
     let mut stream = key.stream("procedural background");
     let mut canvas = Canvas::new(width, height, look);
-    match stream.below(20) {
+    let kind = stream.below(20);
+    match kind {
         0..11 => room(&mut canvas, &mut stream),
         11..14 => texture(&mut canvas, &mut stream),
         14..17 => gradient(&mut canvas, &mut stream),
         _ => lights(&mut canvas, &mut stream),
     }
+    // A wall of cloth or foliage is out of focus as far as a room is deep.
+    let least = if (11..14).contains(&kind) { 0.6 } else { LEAST_DEFOCUS };
     grain(&mut canvas, &mut stream);
     let mut image = canvas.image();
     // Squared: most backgrounds are nearly in focus.
     let softness = stream.unit();
     let softness = softness * softness;
-    let softness = if look == Look::First { softness } else { softness.max(LEAST_DEFOCUS) };
+    let softness = if look == Look::First { softness } else { softness.max(least) };
     defocus(&mut image, GREATEST_DEFOCUS * softness * height as f32);
     image
 }
@@ -154,7 +157,8 @@ fn plant(canvas: &mut Canvas, stream: &mut Stream, centre: [f32; 2]) {
     let (green, size) =
         ([stream.uniform(0.1, 0.4), stream.uniform(0.3, 0.6), stream.uniform(0.05, 0.3)], 0.14);
     if canvas.look >= Look::Second {
-        leaves(canvas, stream, [centre[0], centre[1] + 0.1], green);
+        let olive = mixed(green, [0.2, 0.24, 0.15], 0.55);
+        leaves(canvas, stream, [centre[0], centre[1] + 0.1], olive);
     }
     for _ in 0..if canvas.look == Look::First { 40 } else { 0 } {
         let place = centre.map(|middle| middle + size * stream.normal().clamp(-2.0, 2.0) * 0.5);
@@ -219,7 +223,7 @@ fn lights(canvas: &mut Canvas, stream: &mut Stream) {
     let (from, to) = (colour(stream, 0.05..0.35, 0.5), colour(stream, 0.02..0.2, 0.5));
     gradient_between(canvas, stream, from, to);
     let size = stream.uniform(0.015, 0.06);
-    let edge = if canvas.look == Look::First { 0.15 } else { 0.4 };
+    let edge = if canvas.look == Look::First { 0.15 } else { 0.8 };
     for _ in 0..10 + stream.below(50) {
         let centre = [stream.uniform(-canvas.half_width(), canvas.half_width()), stream.uniform(-0.5, 0.5)];
         let glow = colour(stream, 0.7..1.0, 0.6);

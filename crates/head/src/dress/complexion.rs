@@ -293,7 +293,7 @@ impl<'a> Complexion<'a> {
             // Redder and darker to the line between the lips.
             Look::Second => {
                 let inner = smoothstep((into_lips - 1.0 * MM) / (5.0 * MM));
-                even * Vec3::new(1.04, 1.1, 1.1).lerp(Vec3::new(0.86, 0.72, 0.74), inner)
+                even * Vec3::new(1.0, 0.97, 0.97).lerp(Vec3::new(0.88, 0.74, 0.76), inner)
             }
         }
     }

@@ -1432,6 +1432,9 @@ def mer_synth(
     lighting: float = 1,
     blinks: float = 0,
     glances: float = 0,
+    speech: float = 0,
+    nods: float = 0,
+    breathing: float = 0,
     head: str | Sequence[str] | None = None,
     look: int = 2,
     seed: int = 1,
@@ -1456,6 +1459,9 @@ def mer_synth(
         lighting: Illumination changes; 1 is slow changes of up to 2 %, with a gradient over the face, and 0.3 % flicker at 100 Hz.
         blinks: Blinks; 1 closes the lids every 1.6 to 5.5 seconds.
         glances: Glances; 1 turns the eyes by up to 18 degrees.
+        speech: Speech; 1 is sentences of one to three seconds now and then.
+        nods: Nods and shakes of the head; 1 is one every 4 to 12 seconds, of up to 5 degrees.
+        breathing: Breathing; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute.
         head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         seed: Random seed.
@@ -1486,6 +1492,8 @@ def mer_synth_long(
     blinks: float = 1,
     glances: float = 1,
     speech: float = 1,
+    nods: float = 0,
+    breathing: float = 0,
     head: str | Sequence[str] | None = None,
     look: int = 2,
     seed: int = 1,
@@ -1509,6 +1517,8 @@ def mer_synth_long(
         blinks: Blinks; 1 closes the lids every 1.6 to 5.5 seconds.
         glances: Glances; 1 turns the eyes by up to 18 degrees.
         speech: Speech; 1 is a short sentence now and then.
+        nods: Nods and shakes of the head; 1 is one every 4 to 12 seconds, of up to 5 degrees.
+        breathing: Breathing; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute.
         head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         seed: Random seed.

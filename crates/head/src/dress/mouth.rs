@@ -39,7 +39,7 @@ fn teeth(dressing: &mut Dressing) {
         let outward = ((frame.origin - throat) * Vec3::new(1.0, 0.0, 1.0)).normalize_or(Vec3::Z);
         normal.dot(outward) > least
     });
-    let gaps = gaps(surface);
+    let gaps = (dressing.look >= Look::Second).then(|| gaps(surface));
     let dense = if dressing.look == Look::First { 0.62 } else { 0.4 };
     let spacing = |point: &SurfacePoint| {
         let depth = ((lips.z - point.position.z) / surface.size).max(0.0);
@@ -49,9 +49,8 @@ fn teeth(dressing: &mut Dressing) {
         let ivory = Vec3::new(0.70, 0.64, 0.54) * (1.0 + stream.uniform(-0.03, 0.03));
         let material = Material { albedo: ivory, wrap: Vec3::splat(0.3), sheen: 0.12, gloss: 40.0 };
         let mut color = shade(&material, point.normal, &exposure_behind(dressing, point.position));
-        if dressing.look >= Look::Second {
-            let gap = surface.value(&gaps, &point);
-            color *= Vec3::ONE - Vec3::new(0.6, 0.7, 0.75) * gap;
+        if let Some(gaps) = &gaps {
+            color *= Vec3::ONE - Vec3::new(0.6, 0.7, 0.75) * surface.value(gaps, &point);
         }
         let sigma = spacing(&point) * if dressing.look == Look::First { 0.72 } else { 0.95 };
         dressing.add(point.triangle, flat(point.position, point.normal, sigma, sigma * 0.2, color, 0.98));

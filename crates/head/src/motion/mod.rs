@@ -171,11 +171,12 @@ pub fn sequence(
 }
 
 /// Units, split into halves where they have them, in the model's order.
-pub(crate) fn available_units(model: &HeadModel) -> Vec<(u8, Side)> {
+pub fn available_units(model: &HeadModel) -> Vec<(u8, Side)> {
     model.action_units.iter().map(|unit| (unit.number, unit.side)).collect()
 }
 
-fn add_unit(units: &mut Vec<(u8, Side, f32)>, number: u8, side: Side, intensity: f32) {
+/// Adds to the intensity of a unit, up to 1.
+pub fn add_unit(units: &mut Vec<(u8, Side, f32)>, number: u8, side: Side, intensity: f32) {
     match units.iter_mut().find(|u| u.0 == number && u.1 == side) {
         Some(unit) => unit.2 = (unit.2 + intensity).min(1.0),
         None => units.push((number, side, intensity.clamp(0.0, 1.0))),

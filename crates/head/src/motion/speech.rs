@@ -57,7 +57,7 @@ const PAUSE: Viseme = &[(25, 0.1)];
 const COARTICULATION_SECONDS: f32 = 0.06;
 
 impl Speech {
-    /// About five syllables a second, without an end.
+    /// About four syllables a second, without an end.
     pub fn random(key: Key, seconds: f32, look: Look) -> Self {
         if look < Look::Second {
             let curve = |purpose: &str, knot_seconds: f32| {

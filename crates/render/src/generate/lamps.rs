@@ -66,6 +66,7 @@ impl Lamps {
         let lights: Vec<[f32; 3]> = normals(avatar, head)
             .into_iter()
             .map(|normal| self.at(normal).to_array().map(|light| coded(light.clamp(LIGHT.0, LIGHT.1))))
+            .map(|light| if self.look == Look::First { light } else { through_skin(light) })
             .collect();
         let coefficients = gaussians.sh_len();
         let triangles = avatar.bound().triangles();
@@ -73,7 +74,7 @@ impl Lamps {
             let Some(&light) = lights.get(triangle as usize) else { continue };
             let light = match self.look {
                 Look::First => light,
-                Look::Second => developed(sh[0].map(|c| 0.5 + SH_0 as f32 * c), light),
+                Look::Second => exposed(sh[0].map(|c| 0.5 + SH_0 as f32 * c), light),
             };
             scale_colour(sh, light, 0.5);
         }
@@ -83,11 +84,14 @@ impl Lamps {
 /// Coded colours above the first are compressed, and stay below the second, as by a camera that exposes for the face.
 const SHOULDER: [f32; 2] = [0.66, 0.9];
 
-/// The factors of light on a colour as a camera shows them: shadows on skin are redder, for light that reaches them was in the skin before,
-/// and bright colours keep their hue.
-fn developed(colour: [f32; 3], light: [f32; 3]) -> [f32; 3] {
+/// Shadows on skin are redder than their light: what reaches them was in the skin before.
+fn through_skin(light: [f32; 3]) -> [f32; 3] {
     const WARMTH: [f32; 3] = [0.82, 1.0, 1.06];
-    let light = [0, 1, 2].map(|c| if light[c] < 1.0 { libm::powf(light[c], WARMTH[c]) } else { light[c] });
+    [0, 1, 2].map(|c| if light[c] < 1.0 { libm::powf(light[c], WARMTH[c]) } else { light[c] })
+}
+
+/// The factors of light on a colour as a camera shows them: bright colours keep their hue.
+fn exposed(colour: [f32; 3], light: [f32; 3]) -> [f32; 3] {
     let brightest = (0..3).map(|c| colour[c] * light[c]).fold(0.0, f32::max);
     let [shoulder, most] = SHOULDER;
     if brightest <= shoulder {

@@ -6,6 +6,7 @@ use glam::{EulerRot, Quat, Vec3};
 use srflow_avatar::{Avatar, Avatars, HeadSource};
 use srflow_core::Image;
 use srflow_core::random::{Key, Stream};
+use srflow_head::motion::add_unit;
 use srflow_head::{HeadModel, HeadPose, MicroExpression, Moment, Motion, PoseParameters};
 use srflow_splat::Camera;
 
@@ -338,10 +339,7 @@ fn add(model: &HeadModel, moment: &mut Moment, micro_expression: &MicroExpressio
         *rotation = (*rotation * added).normalize();
     }
     for (number, side, intensity) in units {
-        match moment.action_units.iter_mut().find(|unit| unit.0 == number && unit.1 == side) {
-            Some(unit) => unit.2 = (unit.2 + intensity).min(1.0),
-            None => moment.action_units.push((number, side, intensity)),
-        }
+        add_unit(&mut moment.action_units, number, side, intensity);
     }
 }
 

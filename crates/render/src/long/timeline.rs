@@ -4,7 +4,7 @@ use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::Key;
 use srflow_data::micro_expression::EmotionClass;
 use srflow_data::micro_expression::intervals::{ExpressionKind, Interval};
-use srflow_head::motion::{Speech, quintic};
+use srflow_head::motion::{Speech, available_units, quintic};
 use srflow_head::{HeadModel, HeadModelError, HeadPose, MicroExpression, Side};
 use srflow_splat::{Camera, Gaussians};
 
@@ -118,7 +118,7 @@ impl Timeline {
             distractors: Distractors::random(key, seconds, settings.strengths()),
             speech: Speech::random(key, seconds, settings.look),
             head: drift(&mut key.stream("drift"), points, DRIFT_DEGREES, DRIFT_METRES, settings.drift),
-            available: model.action_units.iter().map(|unit| (unit.number, unit.side)).collect(),
+            available: available_units(model),
             settings: settings.clone(),
             frames,
         })

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::random::Key;
-use srflow_head::motion::{Sentences, Speech};
+use srflow_head::motion::{Sentences, Speech, add_unit, available_units};
 use srflow_head::{HeadModel, HeadModelError, HeadPose, MicroExpression, Side};
 use srflow_splat::Camera;
 
@@ -56,7 +56,7 @@ impl Besides {
             distractors: Distractors::random(key, end, settings.strengths()),
             speech: Speech::random(key, end, settings.look),
             sentences: Sentences::random(key, end),
-            available: model.action_units.iter().map(|unit| (unit.number, unit.side)).collect(),
+            available: available_units(model),
             loudness: settings.speech,
             start,
             frames_per_second: settings.fps,
@@ -74,10 +74,7 @@ impl Besides {
         let mut units = expression.action_units_at(frame);
         if loudness > 0.0 {
             for (number, side, spoken) in self.speech.units_at(&self.available, second, loudness) {
-                match units.iter_mut().find(|unit| unit.0 == number && unit.1 == side) {
-                    Some(unit) => unit.2 = (unit.2 + spoken).min(1.0),
-                    None => units.push((number, side, spoken.min(1.0))),
-                }
+                add_unit(&mut units, number, side, spoken);
             }
         }
         self.distractors.pose(model, units, second)

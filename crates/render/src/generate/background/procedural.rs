@@ -156,15 +156,16 @@ fn door(canvas: &mut Canvas, stream: &mut Stream, [x, _]: [f32; 2]) {
 fn plant(canvas: &mut Canvas, stream: &mut Stream, centre: [f32; 2]) {
     let (green, size) =
         ([stream.uniform(0.1, 0.4), stream.uniform(0.3, 0.6), stream.uniform(0.05, 0.3)], 0.14);
-    if canvas.look >= Look::Second {
+    if canvas.look == Look::First {
+        for _ in 0..40 {
+            let place = centre.map(|middle| middle + size * stream.normal().clamp(-2.0, 2.0) * 0.5);
+            let leaf = [stream.uniform(0.008, 0.035), stream.uniform(0.008, 0.035)];
+            let shade = scaled(green, stream.uniform(0.4, 1.4));
+            canvas.paint(&Shape::ellipse(place, leaf).coloured(scaled(shade, 1.2), scaled(shade, 0.8)));
+        }
+    } else {
         let olive = mixed(green, [0.2, 0.24, 0.15], 0.55);
         leaves(canvas, stream, [centre[0], centre[1] + 0.1], olive);
-    }
-    for _ in 0..if canvas.look == Look::First { 40 } else { 0 } {
-        let place = centre.map(|middle| middle + size * stream.normal().clamp(-2.0, 2.0) * 0.5);
-        let leaf = [stream.uniform(0.008, 0.035), stream.uniform(0.008, 0.035)];
-        let shade = scaled(green, stream.uniform(0.4, 1.4));
-        canvas.paint(&Shape::ellipse(place, leaf).coloured(scaled(shade, 1.2), scaled(shade, 0.8)));
     }
     let pot = colour(stream, 0.3..0.9, 0.5);
     canvas.paint(

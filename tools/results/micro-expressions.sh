@@ -1,7 +1,11 @@
 #!/usr/bin/env bash
 # docs/explanation/results.md: Micro-expressions. Writes into the current folder.
+#
+#   tools/results/micro-expressions.sh [LOOK]     # of the heads; 1 by default
+#
 set -euo pipefail
-synth="srflow mer synth --look 1 --subjects 8 --clips 12 --side 192 --fps 60 --noise 2 --drift 2 --lighting 2 --only-key-frames"
+look=${1:-1}
+synth="srflow mer synth --look $look --subjects 8 --clips 12 --side 192 --fps 60 --noise 2 --drift 2 --lighting 2 --only-key-frames"
 for intensity in 0.25 0.15; do
     for seed in 1 2 3 4 5; do
         $synth --intensity $intensity --seed $seed --out "set-$intensity-$seed"
@@ -21,7 +25,7 @@ for seed in 1 2 3; do
         --out "sssnet-$seed"
 done
 # The paper's protocol, with three seeds of training.
-srflow mer synth --look 1 --out paper-set --subjects 8 --clips 12 --side 192 --fps 60 --noise 2 --drift 2 --lighting 2 --intensity 0.25 --seed 7
+srflow mer synth --look $look --out paper-set --subjects 8 --clips 12 --side 192 --fps 60 --noise 2 --drift 2 --lighting 2 --intensity 0.25 --seed 7
 for seed in 1 2 3; do
     srflow mer run --data clips:paper-set --protocol paper --seed $seed --iters 4 --method farneback srflow tvl1 --out "paper-$seed"
 done

@@ -1457,11 +1457,11 @@ def mer_synth(
         noise: Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness.
         drift: Head drift within a clip; 1 is up to 0.1 degrees and 0.15 mm to either side.
         lighting: Illumination changes; 1 is slow changes of up to 2 %, with a gradient over the face, and 0.3 % flicker at 100 Hz.
-        blinks: Blinks; 1 closes the lids every 1.6 to 5.5 seconds.
-        glances: Glances; 1 turns the eyes by up to 18 degrees.
-        speech: Speech; 1 is sentences of one to three seconds now and then.
-        nods: Nods and shakes of the head; 1 is one every 4 to 12 seconds, of up to 5 degrees.
-        breathing: Breathing; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute.
+        blinks: How far blinks close the lids, 0 to 1; one every 1.6 to 5.5 seconds.
+        glances: Strength of glances, 0 to 2; 1 turns the eyes by up to 18 degrees.
+        speech: Strength of speech, 0 to 2; sentences of 1 to 3 seconds with pauses of 1 to 4.
+        nods: Strength of nods and shakes of the head, 0 to 2; 1 is up to 5 degrees, every 4 to 12 seconds.
+        breathing: Strength of breathing, 0 to 2; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute.
         head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         seed: Random seed.
@@ -1514,11 +1514,11 @@ def mer_synth_long(
         noise: Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness.
         drift: Head motion; 1 is up to 1.5 degrees and 2 mm to either side, within seconds.
         lighting: Illumination changes; 1 is slow changes of up to 2 %, with a gradient over the face, and 0.3 % flicker at 100 Hz.
-        blinks: Blinks; 1 closes the lids every 1.6 to 5.5 seconds.
-        glances: Glances; 1 turns the eyes by up to 18 degrees.
-        speech: Speech; 1 is a short sentence now and then.
-        nods: Nods and shakes of the head; 1 is one every 4 to 12 seconds, of up to 5 degrees.
-        breathing: Breathing; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute.
+        blinks: How far blinks close the lids, 0 to 1; one every 1.6 to 5.5 seconds.
+        glances: Strength of glances, 0 to 2; 1 turns the eyes by up to 18 degrees.
+        speech: Strength of speech, 0 to 2; a short sentence now and then.
+        nods: Strength of nods and shakes of the head, 0 to 2; 1 is up to 5 degrees, every 4 to 12 seconds.
+        breathing: Strength of breathing, 0 to 2; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute.
         head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         seed: Random seed.

@@ -51,23 +51,23 @@ pub struct SynthSettings {
     /// at 100 Hz
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().lighting)]
     pub lighting: f32,
-    /// Blinks; 1 closes the lids every 1.6 to 5.5 seconds
+    /// How far blinks close the lids, 0 to 1; one every 1.6 to 5.5 seconds
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().blinks)]
     #[serde(skip_serializing_if = "is_none")]
     pub blinks: f32,
-    /// Glances; 1 turns the eyes by up to 18 degrees
+    /// Strength of glances, 0 to 2; 1 turns the eyes by up to 18 degrees
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().glances)]
     #[serde(skip_serializing_if = "is_none")]
     pub glances: f32,
-    /// Speech; 1 is sentences of one to three seconds now and then
+    /// Strength of speech, 0 to 2; sentences of 1 to 3 seconds with pauses of 1 to 4
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().speech)]
     #[serde(skip_serializing_if = "is_none")]
     pub speech: f32,
-    /// Nods and shakes of the head; 1 is one every 4 to 12 seconds, of up to 5 degrees
+    /// Strength of nods and shakes of the head, 0 to 2; 1 is up to 5 degrees, every 4 to 12 seconds
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().nods)]
     #[serde(skip_serializing_if = "is_none")]
     pub nods: f32,
-    /// Breathing; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute
+    /// Strength of breathing, 0 to 2; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().breathing)]
     #[serde(skip_serializing_if = "is_none")]
     pub breathing: f32,

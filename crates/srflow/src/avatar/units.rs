@@ -17,10 +17,10 @@ use crate::{Job, Report, Watch};
 /// Show how well a head model does each action unit, and write its table of units
 ///
 /// Each unit is compared with that of the built-in head, whose deformation is carried onto the model by a smooth map between the
-/// landmarks. The shares say how much of the motion remains: 0 is the same motion, 1 as good as none. The cosine compares the
-/// directions alone.
+/// landmarks. The percentages measure the difference: 0 is identical motion, 100 is as far off as no motion. The cosine compares
+/// the directions alone.
 ///
-/// A table called action_units.json beside a model is read with it, instead of the units that the model would have.
+/// If action_units.json is beside a model, its units replace the model's own.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "Examples:
   srflow avatar units --model flame:flame2023.pkl

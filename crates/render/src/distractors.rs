@@ -1,16 +1,33 @@
 //! What a face does besides its expressions: blinks, glances, nods and breathing.
 
+use serde::{Deserialize, Serialize};
 use srflow_core::random::Key;
 use srflow_head::motion::{Blinks, Breathing, Gaze, Nods, move_by_gestures, pose_of_face};
 use srflow_head::{HeadModel, HeadModelError, HeadPose, Side};
+
+use crate::clap::Args;
+use crate::error::is_none;
+
+/// Gestures of the head. Strengths are factors: 0 is none.
+#[derive(Args, Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Gestures {
+    /// Strength of nods and shakes of the head, 0 to 2; 1 is up to 5 degrees, every 4 to 12 seconds
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().nods)]
+    #[serde(skip_serializing_if = "is_none")]
+    pub nods: f32,
+    /// Strength of breathing, 0 to 2; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute
+    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().breathing)]
+    #[serde(skip_serializing_if = "is_none")]
+    pub breathing: f32,
+}
 
 /// How strong each is: 0 is none.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Strengths {
     pub blinks: f32,
     pub glances: f32,
-    pub nods: f32,
-    pub breathing: f32,
+    pub gestures: Gestures,
 }
 
 /// The distractors of one video.
@@ -40,7 +57,7 @@ impl Distractors {
         mut units: Vec<(u8, Side, f32)>,
         second: f32,
     ) -> Result<HeadPose, HeadModelError> {
-        let Strengths { blinks, glances, nods, breathing } = self.strengths;
+        let Strengths { blinks, glances, gestures: Gestures { nods, breathing } } = self.strengths;
         let gaze = self.gaze.at(second).map(|angle| angle * glances);
         let mut pose = pose_of_face(model, &mut units, self.blinks.closed_at(second) * blinks, gaze)?;
         if nods > 0.0 || breathing > 0.0 {
@@ -52,7 +69,7 @@ impl Distractors {
 
     /// Name, first and last second of every blink, glance, nod and shake.
     pub fn spans(&self) -> impl Iterator<Item = (&'static str, [f32; 2])> {
-        let Strengths { blinks, glances, nods, .. } = self.strengths;
+        let Strengths { blinks, glances, gestures: Gestures { nods, .. } } = self.strengths;
         let blinks = self.blinks.spans().filter(move |_| blinks > 0.0).map(|span| ("blink", span));
         let glances = self.gaze.shifts().filter(move |_| glances > 0.0).map(|span| ("glance", span));
         blinks.chain(glances).chain(self.nods.spans().filter(move |_| nods > 0.0))

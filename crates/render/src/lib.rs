@@ -24,4 +24,5 @@ pub mod shapes;
 pub mod statistics;
 pub mod synth;
 
+pub use distractors::Gestures;
 pub use error::{RecordError, RenderError};

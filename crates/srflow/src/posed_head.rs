@@ -192,8 +192,7 @@ impl MovingHead {
         match &self.recorded {
             Some(recorded) => recorded.iter().map(|pose| pose.pose(model)).collect(),
             None => {
-                let motion =
-                    Motion::new(model, Look::default(), Key::new(self.seed), FRAMES, FRAMES_PER_SECOND);
+                let motion = self.random_motion();
                 (0..FRAMES).map(|timestep| motion.at(model, timestep).pose).collect()
             }
         }
@@ -208,16 +207,16 @@ impl MovingHead {
         let recorded = self.recorded.as_ref().map(|recorded| recorded.get(timestep));
         match recorded {
             Some(Some(recorded)) => Ok(recorded.pose(model)),
-            None if timestep < FRAMES => {
-                let motion =
-                    Motion::new(model, Look::default(), Key::new(self.seed), FRAMES, FRAMES_PER_SECOND);
-                Ok(motion.at(model, timestep).pose)
-            }
+            None if timestep < FRAMES => Ok(self.random_motion().at(model, timestep).pose),
             _ => wrong_settings!(
                 "`{field}` {timestep}: the motion has timesteps 0 to {}",
                 timesteps.saturating_sub(1)
             ),
         }
+    }
+
+    fn random_motion(&self) -> Motion {
+        Motion::new(self.avatar.model(), Look::default(), Key::new(self.seed), FRAMES, FRAMES_PER_SECOND)
     }
 
     /// Length of the motion.

@@ -110,7 +110,8 @@ fn a_seed_always_gives_the_same_head_and_another_seed_another() {
     assert!(apart > 2e-3, "heads differ by {apart} m at most");
 }
 
-/// Plausible ranges for adults in millimetres, chosen by us; every generated head stays within them.
+/// Plausible ranges for adults in millimetres, chosen by us; every generated head stays within them. Of ICT-FaceKit's population,
+/// one in a hundred heads is lower than 197, and has less than 96 from eyes to chin.
 #[test]
 fn heads_have_human_measures() {
     for seed in 0..12 {
@@ -122,7 +123,7 @@ fn heads_have_human_measures() {
         let within = |name: &str, value: f32, low: f32, high: f32| {
             assert!((low..=high).contains(&value), "seed {seed}: {name} is {value} mm, not {low} to {high}");
         };
-        within("head height", crown - landmark(8).y, 195.0, 265.0);
+        within("head height", crown - landmark(8).y, 197.0, 255.0);
         within("mouth width", landmark(54).x - landmark(48).x, 41.0, 61.0);
         within("palpebral width", landmark(45).x - landmark(42).x, 25.0, 34.0);
         within("intercanthal width", landmark(42).x - landmark(39).x, 25.0, 40.0);
@@ -132,7 +133,7 @@ fn heads_have_human_measures() {
             54.0,
             74.0,
         );
-        within("eyes to chin", head.joints[3].position.y / MM - landmark(8).y, 92.0, 132.0);
+        within("eyes to chin", head.joints[3].position.y / MM - landmark(8).y, 95.0, 130.0);
         within("nose over lip", landmark(30).z - landmark(33).z, 9.0, 26.0);
         within("eye opening", landmark(43).y - landmark(47).y, 6.5, 14.0);
     }

@@ -32,7 +32,11 @@ fn teeth(dressing: &mut Dressing) {
     let throat = lips - Vec3::Z * (0.045 * surface.size);
     let mut triangles = surface.triangles_of(&[Region::Teeth]);
     // The sides towards the tongue are not visible.
-    let least = if dressing.look == Look::First { -0.45 } else { 0.0 };
+    // Least cosine between their normal and the way out of the mouth; millimetres between Gaussians in front; their size.
+    let (least, dense, spread) = match dressing.look {
+        Look::First => (-0.45, 0.62, 0.72),
+        Look::Second => (0.0, 0.4, 0.95),
+    };
     triangles.retain(|&t| {
         let frame = surface.frames[t as usize];
         let normal = frame.rotation * Vec3::Y;
@@ -40,7 +44,6 @@ fn teeth(dressing: &mut Dressing) {
         normal.dot(outward) > least
     });
     let gaps = (dressing.look >= Look::Second).then(|| gaps(surface));
-    let dense = if dressing.look == Look::First { 0.62 } else { 0.4 };
     let spacing = |point: &SurfacePoint| {
         let depth = ((lips.z - point.position.z) / surface.size).max(0.0);
         (dense + 1.1 * smoothstep((depth - 10.0 * MM) / (25.0 * MM))) * MM * surface.size
@@ -52,7 +55,7 @@ fn teeth(dressing: &mut Dressing) {
         if let Some(gaps) = &gaps {
             color *= Vec3::ONE - Vec3::new(0.6, 0.7, 0.75) * surface.value(gaps, &point);
         }
-        let sigma = spacing(&point) * if dressing.look == Look::First { 0.72 } else { 0.95 };
+        let sigma = spacing(&point) * spread;
         dressing.add(point.triangle, flat(point.position, point.normal, sigma, sigma * 0.2, color, 0.98));
     }
 }

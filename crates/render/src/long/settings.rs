@@ -6,8 +6,8 @@ use srflow_head::Look;
 
 use crate::RenderError;
 use crate::clap::Args;
-use crate::distractors::Strengths;
-use crate::error::{is_none, require, require_strengths};
+use crate::distractors::Gestures;
+use crate::error::{require, require_strengths};
 #[cfg(feature = "clap")]
 use crate::head::heads_help;
 use crate::head::is_default;
@@ -51,14 +51,9 @@ pub struct LongSettings {
     /// Strength of speech, 0 to 2; a short sentence now and then
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().speech)]
     pub speech: f32,
-    /// Strength of nods and shakes of the head, 0 to 2; 1 is up to 5 degrees, every 4 to 12 seconds
-    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().nods)]
-    #[serde(skip_serializing_if = "is_none")]
-    pub nods: f32,
-    /// Strength of breathing, 0 to 2; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute
-    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().breathing)]
-    #[serde(skip_serializing_if = "is_none")]
-    pub breathing: f32,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub gestures: Gestures,
     /// Head model, or several, which the subjects show in turn
     #[arg(long, value_name = "HEAD", default_values_t = Self::default().head, help = heads_help())]
     #[serde(skip_serializing_if = "is_default")]
@@ -86,8 +81,7 @@ impl Default for LongSettings {
             blinks: 1.0,
             glances: 1.0,
             speech: 1.0,
-            nods: 0.0,
-            breathing: 0.0,
+            gestures: Gestures::default(),
             head: vec![HeadSource::builtin()],
             look: Look::default(),
             seed: 1,
@@ -112,15 +106,9 @@ impl LongSettings {
             ("blinks", self.blinks),
             ("glances", self.glances),
             ("speech", self.speech),
-            ("nods", self.nods),
-            ("breathing", self.breathing),
+            ("nods", self.gestures.nods),
+            ("breathing", self.gestures.breathing),
         ])
-    }
-
-    /// The strengths of what a face does besides.
-    pub(super) fn strengths(&self) -> Strengths {
-        let Self { blinks, glances, nods, breathing, .. } = *self;
-        Strengths { blinks, glances, nods, breathing }
     }
 
     /// Frames of each video, in whole pieces.

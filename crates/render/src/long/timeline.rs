@@ -10,7 +10,7 @@ use srflow_splat::{Camera, Gaussians};
 
 use super::settings::LongSettings;
 use crate::action_units::{action_unit_sets, coded_units};
-use crate::distractors::Distractors;
+use crate::distractors::{Distractors, Strengths};
 use crate::generate::SmoothPath;
 use crate::recording::Light;
 use crate::synth::portrait::{camera, drift, landmarks_in_image, move_head};
@@ -112,10 +112,12 @@ impl Timeline {
         frames: u32,
     ) -> Result<Self, HeadModelError> {
         let seconds = frames as f32 / settings.fps;
+        let LongSettings { blinks, glances, gestures, .. } = *settings;
+        let strengths = Strengths { blinks, glances, gestures };
         let points = (seconds / DRIFT_KNOT_SECONDS).ceil().clamp(1.0, 1e5) as usize + 1;
         Ok(Self {
             events: events(model, settings, key, frames)?,
-            distractors: Distractors::random(key, seconds, settings.strengths()),
+            distractors: Distractors::random(key, seconds, strengths),
             speech: Speech::random(key, seconds, settings.look),
             head: drift(&mut key.stream("drift"), points, DRIFT_DEGREES, DRIFT_METRES, settings.drift),
             available: available_units(model),

@@ -10,7 +10,7 @@ use srflow_splat::Camera;
 use super::portrait::{camera, drift, landmarks_in_image, move_head};
 use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};
 use crate::action_units::{action_unit_sets, coded_units, unit_name};
-use crate::distractors::Distractors;
+use crate::distractors::{Distractors, Strengths};
 use crate::generate::SmoothPath;
 use crate::recording::Light;
 
@@ -52,8 +52,10 @@ impl Besides {
         let [least, most] = BEFORE_SECONDS;
         let start = key.stream("eyes").uniform(least, most);
         let end = start + frames as f32 / settings.fps;
+        let SynthSettings { blinks, glances, gestures, .. } = *settings;
+        let strengths = Strengths { blinks, glances, gestures };
         settings.has_disturbances().then(|| Self {
-            distractors: Distractors::random(key, end, settings.strengths()),
+            distractors: Distractors::random(key, end, strengths),
             speech: Speech::random(key, end, settings.look),
             sentences: Sentences::random(key, end),
             available: available_units(model),

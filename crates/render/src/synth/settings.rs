@@ -10,7 +10,7 @@ use srflow_head::Look;
 
 use crate::RenderError;
 use crate::clap::Args;
-use crate::distractors::Strengths;
+use crate::distractors::Gestures;
 use crate::error::{is_none, require, require_strengths};
 #[cfg(feature = "clap")]
 use crate::head::heads_help;
@@ -63,14 +63,9 @@ pub struct SynthSettings {
     #[arg(long, value_name = "FACTOR", default_value_t = Self::default().speech)]
     #[serde(skip_serializing_if = "is_none")]
     pub speech: f32,
-    /// Strength of nods and shakes of the head, 0 to 2; 1 is up to 5 degrees, every 4 to 12 seconds
-    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().nods)]
-    #[serde(skip_serializing_if = "is_none")]
-    pub nods: f32,
-    /// Strength of breathing, 0 to 2; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute
-    #[arg(long, value_name = "FACTOR", default_value_t = Self::default().breathing)]
-    #[serde(skip_serializing_if = "is_none")]
-    pub breathing: f32,
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub gestures: Gestures,
     /// Head model, or several, which the subjects show in turn
     #[arg(long, value_name = "HEAD", default_values_t = Self::default().head, help = heads_help())]
     #[serde(skip_serializing_if = "is_default")]
@@ -105,8 +100,7 @@ impl Default for SynthSettings {
             blinks: 0.0,
             glances: 0.0,
             speech: 0.0,
-            nods: 0.0,
-            breathing: 0.0,
+            gestures: Gestures::default(),
             head: vec![HeadSource::builtin()],
             look: Look::default(),
             seed: 1,
@@ -180,14 +174,8 @@ impl ClipPlan {
 impl SynthSettings {
     /// Whether the clips show anything but expressions and drift.
     pub(super) fn has_disturbances(&self) -> bool {
-        let Self { blinks, glances, speech, nods, breathing, .. } = *self;
+        let Self { blinks, glances, speech, gestures: Gestures { nods, breathing }, .. } = *self;
         [blinks, glances, speech, nods, breathing].iter().any(|strength| *strength > 0.0)
-    }
-
-    /// The strengths of what a face does besides.
-    pub(super) fn strengths(&self) -> Strengths {
-        let Self { blinks, glances, nods, breathing, .. } = *self;
-        Strengths { blinks, glances, nods, breathing }
     }
 
     /// Checks the settings and lists the clips, by subject.
@@ -206,8 +194,8 @@ impl SynthSettings {
             ("blinks", self.blinks),
             ("glances", self.glances),
             ("speech", self.speech),
-            ("nods", self.nods),
-            ("breathing", self.breathing),
+            ("nods", self.gestures.nods),
+            ("breathing", self.gestures.breathing),
         ])?;
         let clip = |number: u32| {
             let (subject, within) = (number / self.clips, number % self.clips);
@@ -263,8 +251,11 @@ mod tests {
             (SynthSettings { lighting: f32::NAN, ..default() }, "lighting"),
             (SynthSettings { blinks: 1.5, ..default() }, "blinks"),
             (SynthSettings { glances: -1.0, ..default() }, "glances"),
-            (SynthSettings { nods: 3.0, ..default() }, "nods"),
-            (SynthSettings { breathing: f32::NAN, ..default() }, "breathing"),
+            (SynthSettings { gestures: Gestures { nods: 3.0, breathing: 0.0 }, ..default() }, "nods"),
+            (
+                SynthSettings { gestures: Gestures { nods: 0.0, breathing: f32::NAN }, ..default() },
+                "breathing",
+            ),
         ] {
             let error = settings.plan().unwrap_err().to_string();
             assert!(error.starts_with(argument), "{error}");

@@ -8,9 +8,9 @@ use std::sync::Mutex;
 use srflow_core::Shard;
 use srflow_data::micro_expression::{Classes, ClipDataset, count_classes};
 use srflow_files::{read_flow, read_image, read_mask};
-use srflow_render::RenderError;
 use srflow_render::job::{Event, Request};
 use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
+use srflow_render::{Gestures, RenderError};
 
 use crate::threads::on_threads;
 use crate::tree::contents;
@@ -115,7 +115,8 @@ fn what_moves_a_face_besides_its_expression_is_listed() {
     let dir = folder.path();
     // The expression is invisible.
     let still = SynthSettings { drift: 0.0, noise: 0.0, lighting: 0.0, intensity: 1e-3, ..settings() };
-    let besides = SynthSettings { blinks: 1.0, glances: 1.0, speech: 1.0, nods: 1.0, ..still };
+    let gestures = Gestures { nods: 1.0, ..Gestures::default() };
+    let besides = SynthSettings { blinks: 1.0, glances: 1.0, speech: 1.0, gestures, ..still };
     make(&SynthSettings { clips: 9, ..besides }, dir, 2).unwrap();
     let table = fs::read_to_string(dir.join("disturbances.csv")).unwrap();
     let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();

@@ -34,6 +34,9 @@ pub(super) const EXPRESSIONS: [(u8, bool); 18] = [
 /// Rotation of the jaw at full AU 26, radians.
 pub(super) const JAW_DROP: f32 = 0.20;
 
+/// Millimetres by which the lower lid moves towards the nose for each radian by which it is raised.
+const NOSEWARD: f32 = 3.0;
+
 /// Share of a unit's movement at lateral position `x` that belongs to `side`; both sides' shares sum to 1.
 pub(super) fn share(side: Side, x: f32) -> f32 {
     const BLEND: f32 = 6.0;
@@ -63,13 +66,17 @@ pub(super) fn displacement(
     let roll = place.lid_roll(number);
     let mut skin = match fitted {
         _ if mark.part == Part::LidLining => Vec3::ZERO,
-        Some(fitted) => fitted,
+        Some(fitted) => fitted + place.finer_than_fitted(number),
         None => place.pull(number),
     };
     // Lateral movement fades out at the midline, where both halves meet.
     skin.x *= smoothstep(0.0, 9.0, p.x);
     if roll == 0.0 {
         return (skin, Vec3::ZERO);
+    }
+    if plan.look >= Look::Second && mark.eye < 0.0 && matches!(number, 6 | 7) {
+        // The muscle around the eye also pulls the lower lid towards the nose.
+        skin.x -= NOSEWARD * roll;
     }
     let lift = place.lid_lift(number);
     let rolled = |share: f32| {
@@ -114,6 +121,31 @@ impl<'a> Place<'a> {
 
     fn on_upper_lip(&self) -> bool {
         self.mark.mouth > 0.0
+    }
+
+    /// What is too narrow for the kernels of the fit: lips that a smile stretches become thin, and brows that knit come together.
+    fn finer_than_fitted(&self, number: u8) -> Vec3 {
+        let plan = self.plan;
+        match number {
+            4 => {
+                let inward = smoothstep(0.0, 11.0, self.p.x);
+                let knit = self.spot(15.0, brow_height(plan, 15.0) - 1.0, 22.0, 18.0)
+                    * smoothstep(plan.eye.y + 4.0, plan.eye.y + 14.0, self.p.y);
+                Vec3::new(-2.2 * inward, -1.4, 0.3) * knit
+            }
+            12 => {
+                let over = self.p.y - mouth::slit(plan, self.p.x);
+                let share = over.abs() / mouth::lip_height(plan, self.p.x, self.on_upper_lip());
+                let near = bell(share / 2.4) * smoothstep(0.0, 0.35, self.middle_of_lips());
+                let thinner = if self.on_upper_lip() { 0.34 } else { 0.26 };
+                // The lips bow: without this they would form a V.
+                let along = self.p.x / plan.mouth_half_width;
+                let bow = 1.3 * bell((along - 0.5) / 0.28) * bell(over / 16.0);
+                Vec3::new(0.0, -thinner * over * near - bow, -0.6 * bell(share / 1.8) * self.middle_of_lips())
+                    * self.lining()
+            }
+            _ => Vec3::ZERO,
+        }
     }
 
     fn pull(&self, number: u8) -> Vec3 {
@@ -219,8 +251,12 @@ impl<'a> Place<'a> {
                     + Vec3::new(narrow, 0.0, 0.2) * drawn
             }
             25 => {
+                let along = (self.p.x / plan.mouth_half_width).min(1.0);
+                let (middle, upper) = match plan.look {
+                    Look::First => (middle, 1.4),
+                    Look::Second => (1.0 - along * along * along, 2.6),
+                };
                 let open = middle * bell(over / 24.0);
-                let upper = if plan.look == Look::First { 1.4 } else { 2.4 };
                 if self.on_upper_lip() {
                     Vec3::new(0.0, upper, 0.2) * open
                 } else {
@@ -267,10 +303,13 @@ impl<'a> Place<'a> {
     /// Angle about the eyeball by which the unit raises this part of the lids, radians.
     fn lid_roll(&self, number: u8) -> f32 {
         let plan = self.plan;
+        let first = plan.look == Look::First;
         let (upper, lower) = match number {
             5 => (0.20, -0.03),
-            6 => (-0.02, 0.10),
-            7 => (-0.10, 0.175),
+            6 if first => (-0.02, 0.10),
+            6 => (-0.03, 0.20),
+            7 if first => (-0.10, 0.175),
+            7 => (-0.03, 0.19),
             9 => (0.0, 0.04),
             12 => (0.0, 0.035),
             43 => (0.0, 0.03),

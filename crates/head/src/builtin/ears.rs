@@ -33,7 +33,7 @@ pub(super) fn add(half: &mut Half, plan: &Plan, root: Vec3) {
         |flat: Vec2, height: f32| root + (back * flat.x + up * flat.y + out * (height + lobule(flat))) * size;
 
     let mark = Mark::of(Part::Ear);
-    let middle = half.vertex(place(MIDDLE, relief(MIDDLE, 0.0, 0.0)), mark);
+    let middle = half.vertex(place(MIDDLE, relief(MIDDLE, 0.0, 0.0, plan.look)), mark);
     let mut previous = vec![middle; AROUND + 1];
     let front = FRONT.iter().map(|&share| (share, None));
     for (share, behind) in front.chain(BACK.iter().map(|&(share, behind)| (share, Some(behind)))) {
@@ -43,7 +43,7 @@ pub(super) fn add(half: &mut Half, plan: &Plan, root: Vec3) {
                 let direction = Vec2::new(libm::cosf(angle), libm::sinf(angle));
                 let flat = MIDDLE + direction * (outline(angle, plan.look) * share);
                 let height = match behind {
-                    None => relief(flat, share, angle),
+                    None => relief(flat, share, angle, plan.look),
                     Some(behind) => rim(angle, 1.0) - behind,
                 };
                 half.vertex(place(flat, height), mark)
@@ -63,8 +63,9 @@ fn lobule(flat: Vec2) -> f32 {
 /// Distance from the centre to the outline; the angle is measured from backward to upward.
 fn outline(angle: f32, look: Look) -> f32 {
     // The lobule, which is narrow in the second look.
+    let lowest = if look == Look::First { 31.0 } else { 28.4 };
     let [front, root, bottom, back] =
-        if look == Look::First { [24.5, 30.4, 28.8, 25.2] } else { [21.5, 27.5, 29.0, 23.6] };
+        if look == Look::First { [24.5, 30.4, 28.8, 25.2] } else { [20.5, 23.5, 25.0, 21.2] };
     let points = [
         (-58.0, 25.2),
         (-30.0, 20.8),
@@ -79,7 +80,7 @@ fn outline(angle: f32, look: Look) -> f32 {
         (210.0, 16.0),
         (235.0, front),
         (252.0, root),
-        (270.0, 31.0),
+        (270.0, lowest),
         (286.0, bottom),
         (302.0, back),
         (330.0, 20.8),
@@ -104,16 +105,17 @@ fn rim(angle: f32, share: f32) -> f32 {
 }
 
 /// Height of the ear's front above its plane.
-fn relief(flat: Vec2, share: f32, angle: f32) -> f32 {
+fn relief(flat: Vec2, share: f32, angle: f32, look: Look) -> f32 {
     let spot = |b: f32, u: f32, rb: f32, ru: f32| dome(flat, Vec2::new(b, u), Vec2::new(rb, ru));
     let degrees = angle.to_degrees();
     let turned = if degrees > 250.0 { degrees - 360.0 } else { degrees };
     let antihelix = smoothstep(-85.0, -45.0, turned) * (1.0 - smoothstep(75.0, 125.0, turned));
     let mut height = rim(angle, share) * smoothstep(0.5, 0.9, share);
-    height -= 2.6 * bell((share - 0.77) / 0.15) * helix(angle);
+    let depth = if look == Look::First { 1.0 } else { 1.4 };
+    height -= depth * 2.6 * bell((share - 0.77) / 0.15) * helix(angle);
     height += 4.2 * bell((share - 0.56) / 0.20) * antihelix;
-    height -= 7.5 * spot(10.5, -3.0, 12.0, 14.0);
-    height -= 3.5 * spot(9.0, 13.0, 9.0, 7.0);
+    height -= depth * 7.5 * spot(10.5, -3.0, 12.0, 14.0);
+    height -= depth * 3.5 * spot(9.0, 13.0, 9.0, 7.0);
     height += 6.5 * spot(-0.5, -3.0, 6.0, 7.0);
     height += 5.0 * spot(10.5, -15.5, 7.0, 5.0);
     height += 4.0 * spot(2.0, 6.0, 9.0, 3.8);

@@ -227,7 +227,7 @@ impl Places {
             Part::Skin => field[v] * self.beyond_eye[v],
             Part::LidLining | Part::Eyeball => Vec3::ZERO,
             Part::MouthLining { depth } => {
-                field[self.skin[v]].lerp(mouth, smoothstep(1.0, 6.0, f32::from(depth)))
+                field[self.skin[v]].lerp(mouth, smoothstep(4.0, 8.0, f32::from(depth)))
             }
             Part::UpperTeeth | Part::LowerTeeth | Part::Tongue => mouth,
             Part::Ear => field[self.ear],
@@ -251,7 +251,7 @@ impl Places {
                 let lips = of_skin(self.skin[v]);
                 // It stays behind them.
                 let behind = Vec3::Z * (0.12 * lips.length() * smoothstep(0.0, 2.0, f32::from(depth)));
-                (lips - behind) * (1.0 - smoothstep(2.0, 7.0, f32::from(depth)))
+                (lips - behind) * (1.0 - smoothstep(5.0, 8.0, f32::from(depth)))
             }
             _ => Vec3::ZERO,
         })

@@ -188,7 +188,7 @@ impl Plan {
     pub(super) fn new(traits: Traits, look: Look) -> Self {
         let t = &traits;
         let spacing = 31.5 + 1.2 * t.eye_spacing;
-        let width = 29.0 + 1.0 * t.eye_width;
+        let width = if look == Look::First { 29.0 } else { 30.2 } + t.eye_width;
         let inner = spacing - 0.515 * width;
         let eye = Vec3::new(spacing, CANON[0], 69.5 - 0.9 * t.eye_depth);
         let nose_base = CANON[1] - 2.0 * t.nose_length - 1.2 * t.face_length;
@@ -198,7 +198,10 @@ impl Plan {
             eye_radius: 12.2,
             inner_canthus: Vec2::new(inner, eye.y - 3.0 - 0.2 * t.eye_tilt),
             outer_canthus: Vec2::new(inner + width, eye.y - 1.2 + 1.0 * t.eye_tilt),
-            lid_heights: [6.5 + 0.5 * t.eye_opening, 4.2 + 0.3 * t.eye_opening],
+            lid_heights: [
+                if look == Look::First { 6.5 } else { 7.0 } + 0.5 * t.eye_opening,
+                4.2 + 0.3 * t.eye_opening,
+            ],
             crease: 4.6 + 0.9 * t.lid_crease,
             nose_base,
             mouth,

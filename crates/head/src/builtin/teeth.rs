@@ -2,7 +2,7 @@ use glam::{Vec2, Vec3};
 
 use super::half::{Half, Mark, Part};
 use super::identity::Plan;
-use crate::Region;
+use crate::{Look, Region};
 
 /// Widths of the teeth along the arch, from the midline to the back, and how far each protrudes relative to the first.
 const UPPER: [(f32, f32); 7] =
@@ -13,14 +13,16 @@ const LOWER: [(f32, f32); 7] =
 /// Columns of vertices across one tooth.
 const COLUMNS: usize = 6;
 
-/// Distance from the edges of the teeth to the gum, and on to the hidden end of the gum.
-const CROWN: f32 = 9.0;
-const ROOT: f32 = 14.0;
+/// Distance from the edges of the teeth to the gum in the first look, and later.
+const CROWNS: [f32; 2] = [9.0, 11.0];
+/// And from the gum to its hidden end.
+const GUM: f32 = 5.0;
 
 /// Adds both rows of teeth; `lips` is the depth of the line between the lips at the midline.
 pub(super) fn add(half: &mut Half, plan: &Plan, lips: f32) {
-    let upper = Arch { front: lips - 7.2, edge: plan.mouth - 1.6, up: 1.0, curvature: 0.034 };
-    let lower = Arch { front: lips - 9.8, edge: plan.mouth - 0.6, up: -1.0, curvature: 0.036 };
+    let crown = CROWNS[usize::from(plan.look >= Look::Second)];
+    let upper = Arch { front: lips - 7.2, edge: plan.mouth - 1.6, up: 1.0, curvature: 0.034, crown };
+    let lower = Arch { front: lips - 9.8, edge: plan.mouth - 0.6, up: -1.0, curvature: 0.036, crown };
     row(half, &upper, &UPPER, Mark::of(Part::UpperTeeth));
     row(half, &lower, &LOWER, Mark::of(Part::LowerTeeth));
 }
@@ -31,6 +33,8 @@ struct Arch {
     edge: f32,
     up: f32,
     curvature: f32,
+    /// Distance from the edges of the teeth to the gum.
+    crown: f32,
 }
 
 impl Arch {
@@ -60,7 +64,7 @@ fn row(half: &mut Half, arch: &Arch, teeth: &[(f32, f32)], mark: Mark) {
             let across = column as f32 / COLUMNS as f32;
             let (at, normal) = arch.at(arc + width * across);
             let midline = number == 0 && column == 0;
-            for (line, (out, up)) in rows.iter_mut().zip(section(width, rise, across)) {
+            for (line, (out, up)) in rows.iter_mut().zip(section(arch.crown, width, rise, across)) {
                 let flat = at + normal * out;
                 let x = if midline { 0.0 } else { flat.x };
                 let point = Vec3::new(x, arch.edge + arch.up * up, flat.y);
@@ -84,16 +88,17 @@ fn row(half: &mut Half, arch: &Arch, teeth: &[(f32, f32)], mark: Mark) {
 const SECTION: usize = 9;
 
 /// Outward and rootward offset of each point of the cross-section at `across` (0 to 1) of a tooth.
-fn section(width: f32, rise: f32, across: f32) -> [(f32, f32); SECTION] {
+fn section(crown: f32, width: f32, rise: f32, across: f32) -> [(f32, f32); SECTION] {
     // 0 in the middle of the tooth, 1 where it meets its neighbour.
     let side = (2.0 * across - 1.0).abs();
     let gap = side * side * side * side;
-    let crown = CROWN - 2.2 * gap;
+    let root = crown + GUM;
+    let crown = crown - 2.2 * gap;
     let thick = if width > 9.0 { 8.0 } else { 5.0 };
     let edge = -rise + 0.9 * gap;
     let dent = -0.9 * gap;
     [
-        (0.6, ROOT),
+        (0.6, root),
         (0.5 - 0.2 * gap, crown),
         (0.25 + dent, crown - 0.5),
         (0.7 + dent, 0.55 * crown),
@@ -101,6 +106,6 @@ fn section(width: f32, rise: f32, across: f32) -> [(f32, f32); SECTION] {
         (-0.5 + dent, edge),
         (-0.35 * thick, edge + 0.1),
         (-0.9 * thick, 0.6 * crown),
-        (-1.2 * thick, ROOT),
+        (-1.2 * thick, root),
     ]
 }

@@ -4,7 +4,7 @@ use glam::Vec3;
 use srflow_core::random::Stream;
 
 use super::appearance::{Appearance, HairStyle};
-use super::light::{Exposure, Material, SKIN_WRAP, shade};
+use super::light::{Exposure, Material, SKIN_WRAP, Studio};
 use super::noise::Noise;
 use super::surface::{Surface, SurfacePoint};
 use super::{Dressing, smoothstep};
@@ -103,6 +103,11 @@ impl<'a> Complexion<'a> {
             Region::Skin if self.is_beside_ear(p) => self.ear_spacing(point),
             Region::Skin => 1.35 - 0.53 * front * smoothstep((point.normal.z + 0.5) / 0.8),
             Region::Neck => 1.9 - 1.1 * edge,
+            // Finer at the hairline, where it shows.
+            Region::Scalp if self.look >= Look::Second => {
+                let scalp = self.surface.value(&self.scalp, point) / self.surface.size;
+                1.0 + 1.5 * smoothstep((scalp - 2.0 * MM) / (12.0 * MM))
+            }
             _ => 2.5,
         };
         mm * MM * self.surface.size
@@ -157,8 +162,11 @@ impl<'a> Complexion<'a> {
         let under_lip = 1.0 - 0.6 * spot(p, Vec3::new(0.0, corner.y - 14.0 * MM, corner.z + 10.0 * MM), 6.0);
         let (border, width) = match self.look {
             Look::First => (border, 9.0),
-            // It thins out in patches.
-            Look::Second => (border + (5.0 + 7.0 * self.relief.at(p * 60.0)) * MM, 21.0),
+            // It thins out in patches, but not over the lip.
+            Look::Second => {
+                let aside = smoothstep((x - corner.x) / (8.0 * MM));
+                (border + (5.0 + 7.0 * self.relief.at(p * 60.0)) * aside * MM, 9.0 + 12.0 * aside)
+            }
         };
         smoothstep((border - p.y) / (width * MM)) * throat * under_lip
     }
@@ -210,7 +218,11 @@ impl<'a> Complexion<'a> {
     /// sRGB of the surface. `fine` adds grain that only small Gaussians can represent.
     pub fn color(&self, point: &SurfacePoint, exposure: &Exposure, stream: &mut Stream, fine: bool) -> Vec3 {
         let p = point.position / self.surface.size;
-        let cloth = self.cloth(point);
+        let mut cloth = self.cloth(point);
+        if self.look >= Look::Second && !fine {
+            // Coarse Gaussians would fray the neckline.
+            cloth -= 2.5 * MM;
+        }
         if cloth > 0.0 {
             return self.cloth_color(p, point.normal, cloth, exposure);
         }
@@ -235,7 +247,7 @@ impl<'a> Complexion<'a> {
         };
         let (sheen, gloss) = (sheen + 0.055 * lip, gloss + 14.0 * lip);
         let material = Material { albedo, wrap: SKIN_WRAP, sheen, gloss };
-        shade(&material, normal, exposure)
+        Studio::of(self.look).shade(&material, normal, exposure)
     }
 
     fn skin_albedo(&self, point: &SurfacePoint, p: Vec3) -> Vec3 {
@@ -255,12 +267,13 @@ impl<'a> Complexion<'a> {
         albedo *= Vec3::ONE.lerp(Vec3::new(1.02, 0.80, 0.77), flush * (1.0 - 0.55 * a.melanin));
         if let Some(nostrils) = places.nostrils {
             // Little light comes back out of them.
-            let down = smoothstep((0.35 - point.normal.y) / 0.6);
-            let inside: f32 = nostrils.iter().map(|&n| spot(p, n, 3.0)).sum();
+            let down = smoothstep((0.3 - point.normal.y) / 0.9);
+            let inside: f32 = nostrils.iter().map(|&n| spot(p, n, 2.5)).sum();
             let deep: f32 = nostrils.iter().map(|&n| spot(p, n, 1.7)).sum();
             // Nor out of the corner below, between nose and lip.
-            let corner = 0.45 * spot(p, (nostrils[0] + nostrils[1]) * 0.5 - Vec3::Y * (2.5 * MM), 3.5);
-            albedo *= 1.0 - 0.92 * (1.9 * inside * down + 0.9 * deep + corner).min(1.0);
+            let corner = 0.2 * spot(p, (nostrils[0] + nostrils[1]) * 0.5 - Vec3::Y * (2.5 * MM), 3.5);
+            albedo *= Vec3::ONE
+                - Vec3::new(0.84, 0.92, 0.92) * (1.5 * inside * down + 0.8 * deep + corner).min(1.0);
         }
         let bags: f32 = places.bags.iter().map(|&b| spot(p, b, 7.5)).sum();
         let lids: f32 = places.eyes.iter().map(|&e| spot(p, e + Vec3::Z * (12.0 * MM), 10.0)).sum();
@@ -324,7 +337,15 @@ impl<'a> Complexion<'a> {
             |axis: Vec3| self.relief_height(p + axis * d, lip) - self.relief_height(p - axis * d, lip);
         let gradient = Vec3::new(slope(Vec3::X), slope(Vec3::Y), slope(Vec3::Z));
         let tangent = gradient - normal * normal.dot(gradient);
-        let depth = if self.look == Look::First { 0.21 } else { 0.38 };
+        let depth = match self.look {
+            Look::First => 0.21,
+            // Lids are smooth, and unroll into more light than the relief is shaded for.
+            Look::Second => {
+                let lids: f32 =
+                    self.places.eyes.iter().map(|&e| spot(p, e + Vec3::new(0.0, 5.0, 12.0) * MM, 12.0)).sum();
+                0.3 * (1.0 - 0.9 * lids.min(1.0))
+            }
+        };
         (normal - tangent * depth).normalize_or(normal)
     }
 
@@ -338,6 +359,7 @@ impl<'a> Complexion<'a> {
         let q = p * 26.0;
         let folds = Vec3::new(self.relief.at(q), self.relief.at(q + 41.0), self.relief.at(q + 83.0)) * 0.24;
         let exposure = Exposure { sky: exposure.sky.max(0.25), ..*exposure };
-        shade(&Material::matt(albedo), (normal + folds).normalize_or(normal), &exposure)
+        let normal = (normal + folds).normalize_or(normal);
+        Studio::of(self.look).shade(&Material::matt(albedo), normal, &exposure)
     }
 }

@@ -5,7 +5,7 @@ use std::f32::consts::TAU;
 use glam::Vec3;
 use srflow_core::random::Stream;
 
-use super::light::{Exposure, Material, shade};
+use super::light::{Exposure, Material};
 use super::noise::Noise;
 use super::skin::flat;
 use super::surface::SurfacePoint;
@@ -88,7 +88,7 @@ fn eyeball_color(dressing: &Dressing, eye: &Eye, point: &SurfacePoint, stream: &
     let rho = eye.rho(point.position);
     let d = point.position - eye.centre;
     let iris = iris_albedo(dressing, eye, d, rho);
-    let sclera = sclera_albedo(eye, d, rho, stream);
+    let sclera = sclera_albedo(eye, d, rho, stream) * if dressing.look == Look::First { 1.0 } else { 0.84 };
     let white = smoothstep((rho - 0.94) / 0.16);
     let albedo = iris.lerp(sclera, white);
     let seen = dressing.exposure(point);
@@ -100,7 +100,7 @@ fn eyeball_color(dressing: &Dressing, eye: &Eye, point: &SurfacePoint, stream: &
     };
     let round = d.normalize_or(Vec3::Z);
     let wrap = Vec3::splat(0.35);
-    shade(&Material { albedo, wrap, sheen: 0.0, gloss: 1.0 }, round, &exposure)
+    dressing.studio().shade(&Material { albedo, wrap, sheen: 0.0, gloss: 1.0 }, round, &exposure)
 }
 
 fn iris_albedo(dressing: &Dressing, eye: &Eye, d: Vec3, rho: f32) -> Vec3 {
@@ -180,7 +180,7 @@ fn lid_lining(dressing: &mut Dressing) {
         let exposure = Exposure { sky: 0.25 + 0.6 * seen.sky, key: 0.15 + 0.6 * seen.key, fill: seen.fill };
         let albedo = pink * (1.0 + stream.uniform(-0.06, 0.06));
         let material = Material { albedo, wrap: Vec3::new(0.4, 0.2, 0.15), sheen: 0.10, gloss: 30.0 };
-        let color = shade(&material, point.normal, &exposure);
+        let color = dressing.studio().shade(&material, point.normal, &exposure);
         dressing.add(
             point.triangle,
             flat(point.position, point.normal, 0.38 * MM * size, 0.05 * MM, color, 0.97),

@@ -13,6 +13,9 @@ const MM: f32 = 1e-3;
 /// A point of the face: a landmark of the left half (dlib's number) and an offset in millimetres outward and up.
 type Place = (usize, [f32; 2]);
 
+/// Distance between the landmarks at the wings of the nose for which offsets from these are given, millimetres.
+const NOSE_WIDTH: f32 = 24.0;
+
 /// A fold of the left half of the face. The right half has its mirror image.
 struct Fold {
     /// The line, with the bulge on its left as seen from outside.
@@ -32,17 +35,17 @@ struct Fold {
 }
 
 const NASOLABIAL: &[Place] =
-    &[(54, [12.5, -11.0]), (54, [12.0, 0.0]), (54, [9.0, 9.5]), (35, [13.0, -3.5]), (35, [7.5, 6.5])];
+    &[(54, [14.0, -12.0]), (54, [15.0, -2.0]), (54, [11.5, 8.0]), (35, [12.0, -1.0]), (35, [6.5, 7.5])];
 
-static FOLDS: [Fold; 22] = [
+static FOLDS: [Fold; 24] = [
     // Around the wing of the nose.
     Fold {
-        line: &[(35, [3.0, -2.5]), (35, [5.2, 1.0]), (35, [5.4, 5.0]), (35, [2.5, 8.5])],
-        depth: [0.8, 0.8],
-        width: 1.5,
-        bulge: 0.0,
-        at_rest: [0.8, 0.9],
-        fades: [0.2, 0.35],
+        line: &[(35, [2.0, -3.0]), (35, [4.7, 0.0]), (35, [5.2, 4.0]), (35, [3.2, 7.5]), (35, [0.5, 10.0])],
+        depth: [1.25, 1.35],
+        width: 1.6,
+        bulge: 0.15,
+        at_rest: [0.9, 1.0],
+        fades: [0.15, 0.6],
         units: &[(9, 0.4), (12, 0.3)],
     },
     // The side of the philtrum.
@@ -58,11 +61,11 @@ static FOLDS: [Fold; 22] = [
     // From the wing of the nose to beside the corner of the mouth; the cheek bulges over it.
     Fold {
         line: NASOLABIAL,
-        depth: [0.95, 1.35],
-        width: 2.3,
-        bulge: 0.45,
-        at_rest: [0.0, 0.3],
-        fades: [0.5, 0.06],
+        depth: [1.0, 1.4],
+        width: 2.7,
+        bulge: 0.5,
+        at_rest: [0.16, 0.5],
+        fades: [0.6, 0.05],
         units: &[(12, 1.0), (10, 0.75), (9, 0.5), (6, 0.2), (14, 0.3), (20, 0.3)],
     },
     // Crow's feet.
@@ -230,12 +233,32 @@ static FOLDS: [Fold; 22] = [
     // Between the lower lip and the chin.
     Fold {
         line: &[(57, [18.0, -3.5]), (57, [10.0, -6.0]), (57, [-1.0, -6.5])],
-        depth: [0.5, 0.7],
-        width: 2.2,
+        depth: [0.7, 0.9],
+        width: 2.8,
         bulge: 0.3,
-        at_rest: [0.0, 0.0],
+        at_rest: [0.5, 0.6],
         fades: [0.28, 0.28],
-        units: &[(17, 1.0), (24, 0.5), (23, 0.4), (15, 0.4)],
+        units: &[(17, 0.7), (24, 0.35), (23, 0.3), (15, 0.3)],
+    },
+    // The tear trough, from the corner of the eye along the rim of the orbit.
+    Fold {
+        line: &[(42, [0.5, -5.0]), (42, [4.5, -10.5]), (47, [0.0, -14.5]), (46, [1.0, -16.5])],
+        depth: [0.6, 1.2],
+        width: 3.0,
+        bulge: 0.3,
+        at_rest: [0.6, 1.0],
+        fades: [0.2, 0.5],
+        units: &[],
+    },
+    // The hollow below the cheekbone.
+    Fold {
+        line: &[(54, [9.0, 1.0]), (54, [19.0, 9.0]), (54, [30.0, 17.0]), (54, [42.0, 30.0])],
+        depth: [1.1, 1.7],
+        width: 11.0,
+        bulge: 0.7,
+        at_rest: [0.4, 0.8],
+        fades: [0.5, 0.5],
+        units: &[],
     },
     // Lines of the upper lip, which pressed lips fold.
     Fold {
@@ -363,10 +386,12 @@ impl Line {
     fn on(surface: &Surface, fold: &Fold, mirrored: bool) -> Self {
         let outward = if mirrored { -1.0 } else { 1.0 };
         let skin = surface.triangles_of(&[Region::Skin, Region::Brow, Region::Scalp, Region::Lips]);
+        let nose = surface.landmarks[31].distance(surface.landmarks[35]) / (NOSE_WIDTH * MM * surface.size);
         let knots: Vec<Vec3> = fold
             .line
             .iter()
             .map(|&(landmark, [x, y])| {
+                let x = if landmark == 35 { x * nose } else { x };
                 let landmark = if mirrored { mirror(landmark) } else { landmark };
                 surface.landmarks[landmark] + Vec3::new(outward * x, y, 0.0) * (MM * surface.size)
             })

@@ -190,6 +190,8 @@ impl<'a> Growth<'a> {
         let size = self.surface.size;
         let from_centre = (root.position - self.centre).normalize_or(Vec3::Y);
         let top = smoothstep((from_centre.y + 0.05) / 0.75);
+        // Short hair of the top does not hang over the temples.
+        let top = if self.loose { top * top } else { top };
         let length = self.cut.length[1] + (self.cut.length[0] - self.cut.length[1]) * top;
         let near_ear = smoothstep(
             (root.position.distance(self.nearest_ear(root.position)) / size - 30.0 * MM) / (40.0 * MM),
@@ -214,13 +216,13 @@ impl<'a> Growth<'a> {
             key: (0.45 + 0.55 * seen.key) * depth,
             fill: (0.4 + 0.6 * seen.fill) * depth,
         };
-        // Hair is finer at the hairline.
-        let thin = if loose { 0.3 + 0.7 * grown } else { 1.0 };
+        // Hair is finer at the hairline, and so are short hairs.
+        let thin = if loose { (0.1 + 0.9 * grown) * smoothstep(length / (14.0 * MM * size)) } else { 1.0 };
         let root_shade = if self.cut.segments > 1 { 0.45 } else { 0.9 };
         let strand = Strand {
             points: &points,
             width: self.cut.width * MM * size * thin * if strays { 0.35 } else { stream.uniform(0.75, 1.2) },
-            taper: 0.5,
+            taper: if loose { 0.35 } else { 0.5 },
             opacity: if self.cut.segments > 1 { 0.88 } else { 0.75 },
             albedo: [albedo * root_shade, albedo * 1.12],
             gloss: 0.9,

@@ -35,7 +35,7 @@ pub(super) fn dress_lashes(dressing: &mut Dressing) {
         let hairs = match (dressing.look, lid.upper) {
             (Look::First, true) => 88,
             (Look::First, false) => 50,
-            (_, true) => 130,
+            (_, true) => 170,
             (_, false) => 60,
         };
         for i in 0..hairs {
@@ -97,7 +97,7 @@ fn lash_line(dressing: &mut Dressing, lid: &Lid, skin: &[u32]) {
     let surface = dressing.surface;
     let size = surface.size;
     let curve = lid.landmarks.map(|i| surface.landmarks[i]);
-    let (width, opacity) = if dressing.look == Look::First { (0.17, 0.42) } else { (0.19, 0.6) };
+    let (width, opacity) = if dressing.look == Look::First { (0.17, 0.42) } else { (0.23, 0.75) };
     const STEPS: usize = 70;
     for step in 0..STEPS {
         let t = step as f32 / STEPS as f32 * 0.93;

@@ -6,20 +6,61 @@ use serde::Serialize;
 
 use super::occlusion::Occluder;
 use super::surface::Surface;
-use crate::Region;
+use crate::{Look, Region};
 
-/// Direction of the large soft box, at the viewer's upper left.
-const KEY_DIRECTION: Vec3 = Vec3::new(-0.50, 0.53, 0.69);
-/// Tangent of the soft box's half angle.
-const KEY_RADIUS: f32 = 0.32;
-const KEY_COLOR: Vec3 = Vec3::new(0.80, 0.765, 0.72);
 /// Direction of the weak fill light on the other side.
 const FILL_DIRECTION: Vec3 = Vec3::new(0.76, 0.12, 0.64);
 const FILL_RADIUS: f32 = 0.5;
-const FILL_COLOR: Vec3 = Vec3::new(0.21, 0.225, 0.245);
-/// Ambient light from below and from above.
-const GROUND_COLOR: Vec3 = Vec3::new(0.19, 0.175, 0.165);
-const SKY_COLOR: Vec3 = Vec3::new(0.40, 0.41, 0.43);
+
+/// The lights of a studio.
+#[derive(Debug)]
+pub(super) struct Studio {
+    /// Direction of the large soft box, at the viewer's upper left.
+    key_direction: Vec3,
+    /// Tangent of its half angle.
+    key_radius: f32,
+    key: Vec3,
+    fill: Vec3,
+    /// Ambient light from below and from above.
+    ground: Vec3,
+    sky: Vec3,
+}
+
+/// So much ambient light that it hides the relief of a face; hair needs it.
+static EVEN: Studio = Studio {
+    key_direction: Vec3::new(-0.50, 0.53, 0.69),
+    key_radius: 0.32,
+    key: Vec3::new(0.80, 0.765, 0.72),
+    fill: Vec3::new(0.21, 0.225, 0.245),
+    ground: Vec3::new(0.19, 0.175, 0.165),
+    sky: Vec3::new(0.40, 0.41, 0.43),
+};
+
+static CONTRASTY: Studio = Studio {
+    key_direction: Vec3::new(-0.48, 0.68, 0.64),
+    key_radius: 0.2,
+    key: Vec3::new(0.93, 0.885, 0.82),
+    fill: Vec3::new(0.19, 0.175, 0.165),
+    ground: Vec3::new(0.20, 0.165, 0.15),
+    sky: Vec3::new(0.285, 0.28, 0.28),
+};
+
+impl Studio {
+    /// The one in which skin, eyes and mouths of a look are.
+    pub fn of(look: Look) -> &'static Self {
+        if look == Look::First { &EVEN } else { &CONTRASTY }
+    }
+
+    /// The colour, sRGB in `0..=1`, of a material with this normal and exposure, seen from the front.
+    pub fn shade(&'static self, material: &Material, normal: Vec3, exposure: &Exposure) -> Vec3 {
+        let (key, fill) = (self.key_direction.normalize(), FILL_DIRECTION.normalize());
+        let diffuse = Lit::of(self, exposure).diffuse(normal, material.wrap);
+        let sheen = material.sheen
+            * (exposure.key * gloss(normal, key, material.gloss)
+                + 0.35 * exposure.fill * gloss(normal, fill, material.gloss));
+        srgb_from_linear(material.albedo * diffuse * 1.12 + Vec3::splat(sheen))
+    }
+}
 
 /// The lights that hair uses.
 pub(super) struct HairLights {
@@ -30,12 +71,12 @@ pub(super) struct HairLights {
     pub fill_color: Vec3,
 }
 
-pub(super) const HAIR_LIGHTS: HairLights = HairLights {
-    ambient: SKY_COLOR,
-    key: KEY_DIRECTION,
-    key_color: KEY_COLOR,
+pub(super) static HAIR_LIGHTS: HairLights = HairLights {
+    ambient: EVEN.sky,
+    key: EVEN.key_direction,
+    key_color: EVEN.key,
     fill: FILL_DIRECTION,
-    fill_color: FILL_COLOR,
+    fill_color: EVEN.fill,
 };
 
 const AMBIENT_RAYS: usize = 40;
@@ -112,6 +153,7 @@ pub(super) const OPAQUE: [Region; 8] = [
 /// The exposure, without smoothing, of the `wanted` vertices of a head whose vertices are `vertices`; zero for the others and those that are
 /// not lit.
 pub(super) fn bake(
+    studio: &Studio,
     surface: &Surface,
     vertices: &[Vec3],
     normals: &[Vec3],
@@ -120,7 +162,7 @@ pub(super) fn bake(
     let corners = |t: &u32| surface.model.triangles[*t as usize].map(|v| vertices[v as usize]);
     let occluder = Occluder::new(surface.triangles_of(&OPAQUE).iter().map(corners));
     let lit = surface.corners_of(&OPAQUE);
-    let rays = Rays::new();
+    let rays = Rays::new(studio);
     (0..vertices.len())
         .into_par_iter()
         .map(|v| match lit[v] && wanted(v) {
@@ -132,11 +174,12 @@ pub(super) fn bake(
 
 /// The part of the light that reaches each vertex through `hair`, which lets so much of it through from a point in a direction.
 pub(super) fn through_hair(
+    studio: &Studio,
     surface: &Surface,
     hair: impl Fn(Vec3, Vec3) -> f32 + Sync,
     wanted: impl Fn(usize) -> bool + Sync,
 ) -> Vec<Exposure> {
-    let rays = Rays::new();
+    let rays = Rays::new(studio);
     let at = |v: usize| {
         rays.exposure(surface.normals[v], |directions| {
             let count = directions.len() as f32;
@@ -159,7 +202,7 @@ struct Rays {
 }
 
 impl Rays {
-    fn new() -> Self {
+    fn new(studio: &Studio) -> Self {
         let sky = spiral(AMBIENT_RAYS).map(|[x, y, r2]| Vec3::new(x, y, (1.0 - r2).max(0.0).sqrt()));
         let disc = |toward: Vec3, radius: f32, count| {
             let axis = toward.normalize();
@@ -168,7 +211,7 @@ impl Rays {
         };
         Self {
             sky: sky.collect(),
-            key: disc(KEY_DIRECTION, KEY_RADIUS, KEY_RAYS),
+            key: disc(studio.key_direction, studio.key_radius, KEY_RAYS),
             fill: disc(FILL_DIRECTION, FILL_RADIUS, FILL_RAYS),
         }
     }
@@ -209,19 +252,10 @@ fn spiral(count: usize) -> impl Iterator<Item = [f32; 3]> {
     })
 }
 
-/// The colour, sRGB in `0..=1`, of a material with this normal and exposure, seen from the front.
-pub(super) fn shade(material: &Material, normal: Vec3, exposure: &Exposure) -> Vec3 {
-    let (key, fill) = (KEY_DIRECTION.normalize(), FILL_DIRECTION.normalize());
-    let diffuse = Lit::of(exposure).diffuse(normal, material.wrap);
-    let sheen = material.sheen
-        * (exposure.key * gloss(normal, key, material.gloss)
-            + 0.35 * exposure.fill * gloss(normal, fill, material.gloss));
-    srgb_from_linear(material.albedo * diffuse * 1.12 + Vec3::splat(sheen))
-}
-
 /// Light that reaches a point from each direction, after shadows.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Lit {
+    studio: &'static Studio,
     sky: Vec3,
     key: Vec3,
     fill: Vec3,
@@ -233,14 +267,15 @@ pub(super) const SKIN_WRAP: Vec3 = Vec3::new(0.36, 0.16, 0.09);
 const SKIN_SHEEN: f32 = 0.05;
 
 impl Lit {
-    pub fn of(exposure: &Exposure) -> Self {
+    pub fn of(studio: &'static Studio, exposure: &Exposure) -> Self {
         let sky = exposure.sky;
         // The little light that reaches a crease was reflected by skin before, which absorbs blue.
         let shadow = |seen: f32| Vec3::new(libm::powf(seen, 0.8), seen, libm::powf(seen, 1.08));
         Self {
+            studio,
             sky: Vec3::new(libm::powf(sky, 0.75), sky, libm::powf(sky, 1.15)),
-            key: KEY_COLOR * shadow(exposure.key),
-            fill: FILL_COLOR * shadow(exposure.fill),
+            key: studio.key * shadow(exposure.key),
+            fill: studio.fill * shadow(exposure.fill),
             exposure: *exposure,
         }
     }
@@ -251,6 +286,7 @@ impl Lit {
         for (corner, weight) in corners[1..].iter().zip([weights.y, weights.z]) {
             let part = corner.times(weight);
             sum = Self {
+                studio: sum.studio,
                 sky: sum.sky + part.sky,
                 key: sum.key + part.key,
                 fill: sum.fill + part.fill,
@@ -261,20 +297,26 @@ impl Lit {
     }
 
     fn times(self, s: f32) -> Self {
-        Self { sky: self.sky * s, key: self.key * s, fill: self.fill * s, exposure: self.exposure * s }
+        Self {
+            sky: self.sky * s,
+            key: self.key * s,
+            fill: self.fill * s,
+            exposure: self.exposure * s,
+            ..self
+        }
     }
 
     /// The part that a surface with this normal scatters, per reflectance.
     fn diffuse(&self, normal: Vec3, wrap: Vec3) -> Vec3 {
-        let (key, fill) = (KEY_DIRECTION.normalize(), FILL_DIRECTION.normalize());
-        GROUND_COLOR.lerp(SKY_COLOR, normal.y * 0.5 + 0.5) * self.sky
+        let (key, fill) = (self.studio.key_direction.normalize(), FILL_DIRECTION.normalize());
+        self.studio.ground.lerp(self.studio.sky, normal.y * 0.5 + 0.5) * self.sky
             + self.key * lambert(normal.dot(key), wrap)
             + self.fill * lambert(normal.dot(fill), wrap)
     }
 
     /// Linear light from skin of this reflectance and normal, seen from the front.
     pub fn on(&self, normal: Vec3, albedo: Vec3) -> Vec3 {
-        let (key, fill) = (KEY_DIRECTION.normalize(), FILL_DIRECTION.normalize());
+        let (key, fill) = (self.studio.key_direction.normalize(), FILL_DIRECTION.normalize());
         let gloss = |light: Vec3| {
             let cosine = normal.dot((light + Vec3::Z).normalize()).max(0.0);
             [(); 4].iter().fold(cosine, |power, ()| power * power)
@@ -298,14 +340,14 @@ pub(super) struct SkinLight {
 }
 
 impl SkinLight {
-    pub fn new() -> Self {
+    pub fn new(studio: &Studio) -> Self {
         Self {
-            key: KEY_DIRECTION.normalize().to_array(),
-            key_color: KEY_COLOR.to_array(),
+            key: studio.key_direction.normalize().to_array(),
+            key_color: studio.key.to_array(),
             fill: FILL_DIRECTION.normalize().to_array(),
-            fill_color: FILL_COLOR.to_array(),
-            ground_color: GROUND_COLOR.to_array(),
-            sky_color: SKY_COLOR.to_array(),
+            fill_color: studio.fill.to_array(),
+            ground_color: studio.ground.to_array(),
+            sky_color: studio.sky.to_array(),
             wrap: SKIN_WRAP.to_array(),
             sheen: SKIN_SHEEN,
         }

@@ -26,7 +26,7 @@ use crate::{HeadError, HeadModel, Look, Region, ShapedHead};
 use appearance::Appearance;
 pub use folds::Crease;
 use hair_shadow::HairShadow;
-use light::Exposure;
+use light::{Exposure, Studio};
 pub use shading::{Shading, ShadingFacts, ShadingTables};
 use surface::{Surface, SurfacePoint};
 
@@ -65,7 +65,7 @@ pub fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64, look: Look) -> R
         return Err(HeadError::Landmarks { file: landmark_file(&name), model: name, found });
     }
     let surface = Surface::new(model, shaped);
-    let unsmoothed = light::bake(&surface, surface.vertices, &surface.normals, |_| true);
+    let unsmoothed = light::bake(Studio::of(look), &surface, surface.vertices, &surface.normals, |_| true);
     let mut exposures = unsmoothed.clone();
     surface.smooth(&mut exposures);
     let mut dressing = Dressing {
@@ -122,11 +122,19 @@ impl Dressing<'_> {
     fn shade_by(&mut self, hair: &[(u32, Splat)]) {
         let shadow = HairShadow::new(hair, self.surface.size);
         let is_skin = self.surface.corners_of(&skin::SKIN);
-        let light =
-            light::through_hair(self.surface, |p, direction| shadow.light(p, direction), |v| is_skin[v]);
+        let light = light::through_hair(
+            self.studio(),
+            self.surface,
+            |p, direction| shadow.light(p, direction),
+            |v| is_skin[v],
+        );
         for (exposure, light) in self.exposures.iter_mut().zip(light) {
             *exposure = exposure.times(light);
         }
+    }
+
+    fn studio(&self) -> &'static Studio {
+        Studio::of(self.look)
     }
 
     fn stream(&self, purpose: &str) -> Stream {

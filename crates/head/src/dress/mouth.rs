@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::light::{Exposure, Material, shade};
+use super::light::{Exposure, Material};
 use super::skin::flat;
 use super::surface::{Surface, SurfacePoint};
 use super::{Dressing, smoothstep};
@@ -51,7 +51,8 @@ fn teeth(dressing: &mut Dressing) {
     for point in surface.scatter(&triangles, spacing, &mut stream) {
         let ivory = Vec3::new(0.70, 0.64, 0.54) * (1.0 + stream.uniform(-0.03, 0.03));
         let material = Material { albedo: ivory, wrap: Vec3::splat(0.3), sheen: 0.12, gloss: 40.0 };
-        let mut color = shade(&material, point.normal, &exposure_behind(dressing, point.position));
+        let mut color =
+            dressing.studio().shade(&material, point.normal, &exposure_behind(dressing, point.position));
         if let Some(gaps) = &gaps {
             color *= Vec3::ONE - Vec3::new(0.6, 0.7, 0.75) * surface.value(gaps, &point);
         }
@@ -83,7 +84,8 @@ fn inside(dressing: &mut Dressing) {
     for point in surface.scatter(&surface.triangles_of(&[Region::MouthInside]), |_| spacing, &mut stream) {
         let flesh = Vec3::new(0.42, 0.13, 0.12) * (1.0 + stream.uniform(-0.1, 0.1));
         let material = Material { albedo: flesh, wrap: Vec3::new(0.4, 0.2, 0.2), sheen: 0.05, gloss: 25.0 };
-        let color = shade(&material, point.normal, &exposure_behind(dressing, point.position));
+        let color =
+            dressing.studio().shade(&material, point.normal, &exposure_behind(dressing, point.position));
         dressing
             .add(point.triangle, flat(point.position, point.normal, spacing * 0.75, 0.2 * MM, color, 0.985));
     }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use srflow_splat::{Gaussians, scale_colour};
 
 use super::folds::{Crease, Intensity, Strengths, creases};
-use super::light::{Exposure, Lit, OPAQUE, SkinLight, bake};
+use super::light::{Exposure, Lit, OPAQUE, SkinLight, Studio, bake};
 use super::surface::unit_normals;
 use super::{Dressing, Splat};
 use crate::{HeadModel, HeadPose, ShapedHead, Side, TriangleFrame};
@@ -15,6 +15,7 @@ use crate::{HeadModel, HeadPose, ShapedHead, Side, TriangleFrame};
 /// some action units change of them.
 #[derive(Debug, Clone)]
 pub struct Shading {
+    studio: &'static Studio,
     /// Light that reaches each vertex at rest; `None` for those without a lit surface.
     lit: Vec<Option<Lit>>,
     exposures: Vec<Exposure>,
@@ -57,12 +58,13 @@ impl Shading {
     /// Of the Gaussians of a head that is dressed so far: skin, then eyes.
     pub(super) fn new(dressing: &Dressing, shaped: &ShapedHead) -> Self {
         let surface = dressing.surface;
+        let studio = dressing.studio();
         let (creases, strengths) = creases(dressing, dressing.lit);
         let lit: Vec<Option<Lit>> = dressing
             .exposures
             .iter()
             .zip(surface.corners_of(&OPAQUE))
-            .map(|(exposure, is_lit)| is_lit.then(|| Lit::of(exposure)))
+            .map(|(exposure, is_lit)| is_lit.then(|| Lit::of(studio, exposure)))
             .collect();
         let albedo = dressing.appearance.skin;
         let at_rest = lit
@@ -82,7 +84,7 @@ impl Shading {
         changing.sort_unstable();
         changing.dedup();
         let exposures = dressing.exposures.clone();
-        Self { lit, exposures, shadows, changing, at_rest, albedo, places, creases, strengths, rest }
+        Self { studio, lit, exposures, shadows, changing, at_rest, albedo, places, creases, strengths, rest }
     }
 
     /// Light that reaches the vertices with these weights of expressions.
@@ -106,7 +108,7 @@ impl Shading {
         let mut lit = self.lit.clone();
         for &vertex in &self.changing {
             let vertex = vertex as usize;
-            lit[vertex] = lit[vertex].map(|_| Lit::of(&exposures[vertex].clamped()));
+            lit[vertex] = lit[vertex].map(|_| Lit::of(self.studio, &exposures[vertex].clamped()));
         }
         lit.into()
     }
@@ -119,7 +121,7 @@ impl Shading {
             |unit: &Shadows| unit.changes.iter().map(|(vertex, change)| (*vertex, parts(change))).collect();
         ShadingTables {
             facts: ShadingFacts {
-                light: SkinLight::new(),
+                light: SkinLight::new(self.studio),
                 albedo: self.albedo.to_array(),
                 shadows: self.shadows.iter().map(|unit| &unit.intensity).collect(),
                 folds: &self.strengths,
@@ -231,7 +233,7 @@ impl Shadows {
         model.vertices(shaped, &pose, &mut vertices);
         let normals = unit_normals(&vertices, model);
         let moved = |v: usize| vertices[v].distance(surface.vertices[v]) > MOVED * surface.size;
-        let after = bake(surface, &vertices, &normals, moved);
+        let after = bake(dressing.studio(), surface, &vertices, &normals, moved);
         let change = |v: usize| match moved(v) {
             true => after[v] + dressing.unsmoothed[v] * -1.0,
             false => Exposure::default(),

@@ -7,6 +7,7 @@ use super::Splat;
 use super::complexion::Complexion;
 use super::skin::flat;
 use super::surface::{Buckets, SurfacePoint};
+use crate::Look;
 
 const MM: f32 = 1e-3;
 
@@ -87,9 +88,10 @@ fn moles(dressing: &Dressing, complexion: &Complexion, face: &[u32]) -> Vec<Spec
     let surface = dressing.surface;
     let size = surface.size;
     let mut stream = dressing.stream("moles");
+    let rare = if dressing.look == Look::First { 0.07 } else { 0.04 };
     let mut moles = Vec::new();
     for point in surface.scatter(face, |_| 16.0 * MM * size, &mut stream) {
-        if stream.unit() > 0.07 || complexion.lip(&point) > -3.0 * MM {
+        if stream.unit() > rare || complexion.lip(&point) > -3.0 * MM {
             continue;
         }
         let lit = complexion.color(&point, &dressing.exposure(&point), &mut stream, false);

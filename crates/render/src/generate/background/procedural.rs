@@ -17,7 +17,10 @@ use crate::shapes::Texture;
 const GREATEST_DEFOCUS: f32 = 0.012;
 
 /// Least radius in the second look, as a part of the greatest: what is behind a head is never as sharp as the head.
-const LEAST_DEFOCUS: f32 = 0.15;
+const LEAST_DEFOCUS: f32 = 0.3;
+
+/// Part of the colourfulness that is left in the second look: few rooms are as colourful as random numbers.
+const COLOURFULNESS: f32 = 0.55;
 
 type Colour = [f32; 3];
 
@@ -35,6 +38,9 @@ pub(super) fn procedural(width: usize, height: usize, key: Key, look: Look) -> I
     // A wall of cloth or foliage is out of focus as far as a room is deep.
     let least = if (11..14).contains(&kind) { 0.6 } else { LEAST_DEFOCUS };
     grain(&mut canvas, &mut stream);
+    if look >= Look::Second {
+        canvas.each(|colour, _| mixed([luma(colour); 3], colour, COLOURFULNESS));
+    }
     let mut image = canvas.image();
     // Squared: most backgrounds are nearly in focus.
     let softness = stream.unit();
@@ -280,6 +286,11 @@ fn scaled(colour: Colour, factor: f32) -> Colour {
 
 fn mixed(from: Colour, to: Colour, share: f32) -> Colour {
     std::array::from_fn(|channel| from[channel] + (to[channel] - from[channel]) * share)
+}
+
+/// Brightness by Rec. 601.
+fn luma([red, green, blue]: Colour) -> f32 {
+    0.299 * red + 0.587 * green + 0.114 * blue
 }
 
 /// A rectangle or an ellipse along the axes, or a leaf.

@@ -6,19 +6,20 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use srflow_core::{
-    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Mask, MeanMetrics, Metrics,
-    ScoreError, Shard, score,
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Mask, ScoreError, Shard,
+    score,
 };
 use srflow_data::flow::{DatasetError, Entry, EntryFile, FlowDataset, Sample};
 
 use crate::crop::{CropError, Window, head_window};
-use crate::error_curve::{ErrorCurve, shares_within};
+use crate::error_curve::shares_within;
 use crate::expression::Expression;
 use crate::expression_error::{ExpressionError, ExpressionTruth, Face};
 use crate::flow_files::{FlowFileError, FlowFiles};
 use crate::kept::KeptScores;
+use crate::method_sums::MethodSums;
 use crate::regions;
-use crate::results::{Evaluation, Failure, MethodScores, PairScores, Region, dataset_title};
+use crate::results::{Evaluation, Failure, PairScores, Region, dataset_title};
 use crate::zero::Zero;
 
 /// The source of the flow that is scored.
@@ -654,57 +655,6 @@ fn cropped(sample: &Sample, window: Window) -> Sample {
 
 fn inverse(mask: &Mask) -> Mask {
     Mask::from_fn(mask.width(), mask.height(), |x, y| !mask.get(x, y))
-}
-
-/// Sums over the pairs of one method.
-struct MethodSums {
-    scores: MethodScores,
-    regions: BTreeMap<Region, MeanMetrics>,
-    curve: ErrorCurve,
-}
-
-impl MethodSums {
-    fn new(name: &str) -> Self {
-        let name = name.to_owned();
-        let baseline = name == Zero.name();
-        Self {
-            scores: MethodScores { name, baseline, ..MethodScores::default() },
-            regions: BTreeMap::new(),
-            curve: ErrorCurve::default(),
-        }
-    }
-
-    fn add(&mut self, KeptScores { scores, within }: &KeptScores) {
-        for region in Region::ALL {
-            self.regions.entry(region).or_default().add(scores.region(region));
-        }
-        self.curve.add(within);
-        self.scores.pairs.push(scores.clone());
-    }
-
-    fn finish(self) -> MethodScores {
-        let means = self.regions.iter().filter_map(|(region, sum)| Some((*region, sum.mean()?)));
-        let mut means: BTreeMap<Region, Metrics> = means.collect();
-        MethodScores {
-            whole: means.remove(&Region::Whole),
-            head: means.remove(&Region::Head),
-            visible: means.remove(&Region::Visible),
-            regions: means,
-            expression: Expression::mean(self.scores.pairs.iter().filter_map(|pair| pair.expression)),
-            expression_error: ExpressionError::mean(
-                self.scores.pairs.iter().filter_map(|pair| pair.expression_error),
-            ),
-            iterations: mean(self.scores.pairs.iter().filter_map(|pair| pair.iterations)),
-            within: self.curve.mean(),
-            ..self.scores
-        }
-    }
-}
-
-/// `None` of no numbers.
-fn mean(numbers: impl Iterator<Item = f32>) -> Option<f64> {
-    let (sum, count) = numbers.fold((0.0, 0), |(sum, count), number| (sum + f64::from(number), count + 1));
-    (count > 0).then(|| sum / f64::from(count))
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ mod expression_error;
 mod flow_files;
 mod kept;
 mod method_record;
+mod method_sums;
 mod pair_figures;
 mod regions;
 mod results;

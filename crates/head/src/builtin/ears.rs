@@ -63,9 +63,9 @@ fn lobule(flat: Vec2) -> f32 {
 /// Distance from the centre to the outline; the angle is measured from backward to upward.
 fn outline(angle: f32, look: Look) -> f32 {
     // The lobule, which is narrow in the second look.
-    let lowest = if look == Look::First { 31.0 } else { 28.4 };
+    let lowest = if look == Look::First { 31.0 } else { 27.5 };
     let [front, root, bottom, back] =
-        if look == Look::First { [24.5, 30.4, 28.8, 25.2] } else { [20.5, 23.5, 25.0, 21.2] };
+        if look == Look::First { [24.5, 30.4, 28.8, 25.2] } else { [21.5, 25.5, 26.2, 23.0] };
     let points = [
         (-58.0, 25.2),
         (-30.0, 20.8),

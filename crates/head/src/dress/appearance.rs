@@ -89,7 +89,16 @@ impl Appearance {
         let stubble = if bearded { stream.uniform(0.2, 1.0) } else { 0.0 };
         let cut = build > 0.3 && drawn.hair_style == HairStyle::Long && stream.unit() < 0.85;
         let hair_style = if cut { HairStyle::Short } else { drawn.hair_style };
-        Self { stubble, hair_style, iris: drawn.iris * 0.8, iris_inner: drawn.iris_inner * 0.8, ..drawn }
+        // Beside skin, grey hairs look blue.
+        let brows = drawn.brows * Vec3::new(1.12, 1.0, 0.85);
+        Self {
+            stubble,
+            hair_style,
+            iris: drawn.iris * 0.8,
+            iris_inner: drawn.iris_inner * 0.8,
+            brows,
+            ..drawn
+        }
     }
 
     fn drawn(seed: u64) -> Self {

@@ -205,7 +205,9 @@ impl<'a> Growth<'a> {
         let (least, most) = if loose { (0.55 + 0.25 * lock, 1.12 + 0.12 * lock) } else { (0.72, 1.1) };
         let length = length * grown * trimmed * stream.uniform(least, most) * MM * size;
         let layer = stream.unit();
-        let points = self.path(root, length, if strays { 1.5 } else { layer }, lock, stream);
+        // On the sides it lies closer to the head.
+        let raised = if self.loose && self.cut.length[0] < 60.0 { 0.3 + 0.7 * top } else { 1.0 };
+        let points = self.path(root, length, if strays { 1.5 } else { layer }, raised, lock, stream);
         let tone = stream.uniform(0.72, 1.28) * (1.0 + 0.22 * self.noise.at(root.position * 90.0));
         let albedo = dressing.appearance.hair * tone;
         // Hair below the surface layer is dark, and so are the roots.
@@ -238,6 +240,7 @@ impl<'a> Growth<'a> {
         root: &SurfacePoint,
         length: f32,
         layer: f32,
+        raised: f32,
         lock: f32,
         stream: &mut Stream,
     ) -> Vec<Vec3> {
@@ -246,8 +249,8 @@ impl<'a> Growth<'a> {
         let step = length / segments as f32;
         let phase = stream.uniform(0.0, std::f32::consts::TAU);
         let turn = stream.uniform(0.55, 0.9) * if stream.unit() < 0.5 { -1.0 } else { 1.0 };
-        let mut direction = self.start(root, layer, stream);
-        let volume = self.cut.volume * (1.0 - 0.8 * self.flattened(root.position, 50.0));
+        let mut direction = self.start(root, layer, raised, stream);
+        let volume = raised * self.cut.volume * (1.0 - 0.8 * self.flattened(root.position, 50.0));
         let mut p = root.position;
         let mut points = vec![p];
         for i in 1..=segments {
@@ -285,10 +288,10 @@ impl<'a> Growth<'a> {
         points
     }
 
-    fn start(&self, root: &SurfacePoint, layer: f32, stream: &mut Stream) -> Vec3 {
+    fn start(&self, root: &SurfacePoint, layer: f32, raised: f32, stream: &mut Stream) -> Vec3 {
         let jitter = Vec3::new(stream.normal(), stream.normal(), stream.normal()) * 0.13;
         let flat = 0.6 * self.flattened(root.position, 20.0);
-        let lift = self.cut.lift * (0.55 + 0.45 * layer) * (1.0 - flat);
+        let lift = raised * self.cut.lift * (0.55 + 0.45 * layer) * (1.0 - flat);
         (root.normal * lift + self.combed(root.position) * (1.0 - lift) + jitter).normalize_or(root.normal)
     }
 

@@ -102,8 +102,12 @@ pub(crate) fn first_difference(found: &Value, planned: &Value) -> Option<(String
     if let Some(within) = first_difference(a, b) {
         return Some(within);
     }
-    let brief =
-        |value: &Value| if nested(value) { "other values".to_owned() } else { excerpt(&value.to_string()) };
+    let brief = |value: &Value| match value {
+        // Settings at their defaults are left out of some manifests.
+        Value::Null => "(not given)".to_owned(),
+        value if nested(value) => "other values".to_owned(),
+        value => excerpt(&value.to_string()),
+    };
     Some((name.clone(), brief(a), if nested(b) { "those of its arguments".to_owned() } else { brief(b) }))
 }
 

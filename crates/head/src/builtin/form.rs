@@ -239,7 +239,7 @@ impl Places {
         // Units of the upper face and the nose, and from 10 on of the lower face.
         let part = |y: f32| match number {
             // The raised cheek pulls at the skin over the jaw.
-            6 => smoothstep(-95.0, -70.0, y),
+            6 => smoothstep(-72.0, -57.0, y),
             0..=9 => smoothstep(-70.0, -50.0, y),
             _ => 1.0 - smoothstep(35.0, 48.0, y),
         };

@@ -14,7 +14,7 @@ use srflow_data::flow::{DatasetError, Entry, EntryFile, FlowDataset, Sample};
 use crate::crop::{CropError, Window, head_window};
 use crate::error_curve::shares_within;
 use crate::expression::Expression;
-use crate::expression_error::{ExpressionError, ExpressionTruth, Face};
+use crate::expression_error::{ExpressionTruth, Face};
 use crate::flow_files::{FlowFileError, FlowFiles};
 use crate::kept::KeptScores;
 use crate::method_sums::MethodSums;
@@ -62,7 +62,7 @@ pub struct Settings<'a> {
     pub small_motion: Option<f32>,
     /// Also score the motion of the [`Expression`].
     pub expression: bool,
-    /// Also score the flow of the expression against the exact one, which all pairs must have: see [`ExpressionError`].
+    /// Also score the flow of the expression against the exact one, which all pairs must have: see [`ExpressionError`](crate::ExpressionError).
     pub expression_error: bool,
     /// Also keep the refinement iterations of each pair, for methods that have some.
     pub iterations: bool,

@@ -123,6 +123,15 @@ impl<'a> Place<'a> {
         self.mark.mouth > 0.0
     }
 
+    /// Lips made thinner by a share, up to so many times their height away from the line between them, and moved `inward`.
+    fn squeezed(&self, thinner: f32, reach: f32, inward: f32) -> Vec3 {
+        let (plan, middle) = (self.plan, self.middle_of_lips());
+        let over = self.p.y - mouth::slit(plan, self.p.x);
+        let share = over.abs() / mouth::lip_height(plan, self.p.x, self.on_upper_lip());
+        let near = bell(share / reach) * smoothstep(0.0, 0.35, middle);
+        Vec3::new(0.0, -thinner * over * near, inward * bell(share / 1.8) * middle)
+    }
+
     /// What is too narrow for the kernels of the fit: lips that a smile stretches become thin, and brows that knit come together.
     fn finer_than_fitted(&self, number: u8) -> Vec3 {
         let plan = self.plan;
@@ -135,14 +144,11 @@ impl<'a> Place<'a> {
             }
             12 => {
                 let over = self.p.y - mouth::slit(plan, self.p.x);
-                let share = over.abs() / mouth::lip_height(plan, self.p.x, self.on_upper_lip());
-                let near = bell(share / 2.4) * smoothstep(0.0, 0.35, self.middle_of_lips());
                 let thinner = if self.on_upper_lip() { 0.34 } else { 0.26 };
                 // The lips bow: without this they would form a V.
                 let along = self.p.x / plan.mouth_half_width;
                 let bow = 1.3 * bell((along - 0.5) / 0.28) * bell(over / 16.0);
-                Vec3::new(0.0, -thinner * over * near - bow, -0.6 * bell(share / 1.8) * self.middle_of_lips())
-                    * self.lining()
+                (self.squeezed(thinner, 2.4, -0.6) - Vec3::Y * bow) * self.lining()
             }
             _ => Vec3::ZERO,
         }
@@ -225,7 +231,6 @@ impl<'a> Place<'a> {
         let plan = self.plan;
         let middle = self.middle_of_lips();
         let over = self.p.y - mouth::slit(plan, self.p.x);
-        let red = mouth::lip_height(plan, self.p.x, self.on_upper_lip());
         match number {
             10 if self.on_upper_lip() => {
                 let lip = self.spot(11.0, plan.mouth + 5.0, 20.0, 24.0)
@@ -244,11 +249,8 @@ impl<'a> Place<'a> {
             23 | 24 => {
                 let (squeeze, inward, narrow) =
                     if number == 23 { (0.28, -0.6, -2.0) } else { (0.42, -1.6, -0.6) };
-                let share = over.abs() / red;
-                let near = bell(share / 2.6) * smoothstep(0.0, 0.35, self.middle_of_lips());
                 let drawn = self.spot(plan.mouth_half_width, plan.mouth, 20.0, 13.0);
-                Vec3::new(0.0, -squeeze * over * near, inward * bell(share / 1.8) * middle)
-                    + Vec3::new(narrow, 0.0, 0.2) * drawn
+                self.squeezed(squeeze, 2.6, inward) + Vec3::new(narrow, 0.0, 0.2) * drawn
             }
             25 => {
                 let along = (self.p.x / plan.mouth_half_width).min(1.0);

@@ -9,12 +9,13 @@ use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use srflow_avatar::train::{GaussianAdam, ImageLoss, LearningRates, ParameterGradients};
 use srflow_avatar::{Avatar, BoundGaussians, BoundGradients};
+use srflow_core::Size;
 use srflow_head::{HeadPose, TriangleFrame};
 use srflow_splat::{
     Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Options, Outputs, Rasterizer,
 };
 
-const SIZE: (usize, usize) = (550, 802);
+const SIZE: Size = Size::new(550, 802);
 const COUNT: usize = 100_000;
 const SH_DEGREE: usize = 3;
 const RUNS: usize = 30;
@@ -83,9 +84,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
 
     println!(
-        "{COUNT} Gaussians of degree {SH_DEGREE}, {}x{}, {:.1} million pairs blended, {} threads; loss {:.4} to {:.4} in {RUNS} steps",
-        SIZE.0,
-        SIZE.1,
+        "{COUNT} Gaussians of degree {SH_DEGREE}, {SIZE}, {:.1} million pairs blended, {} threads; loss {:.4} to {:.4} in {RUNS} steps",
         frame.statistics.blended as f64 * 1e-6,
         rayon::current_num_threads(),
         losses[0],
@@ -134,7 +133,7 @@ fn camera(vertices: &[Vec3]) -> Camera {
         (low, high) = (low.min(vertex), high.max(vertex));
     }
     let center = (0.5 * (low + high)).as_dvec3();
-    let focal = 0.95 * SIZE.1 as f64 / f64::from(high.y - low.y);
+    let focal = 0.95 * SIZE.height as f64 / f64::from(high.y - low.y);
     let facing = DMat3::from_cols(DVec3::X, -DVec3::Y, -DVec3::Z);
     Camera::centred(SIZE, [focal; 2]).placed(facing, center + DVec3::Z)
 }

@@ -6,6 +6,7 @@ use std::sync::LazyLock;
 use glam::{DMat4, DVec3, Quat, Vec3};
 use srflow_avatar::capture::HeadRecord;
 use srflow_avatar::{Avatar, AvatarError, AvatarFiles, HeadSource, PosedHead};
+use srflow_core::Size;
 use srflow_head::{
     HeadError, HeadModel, HeadParameters, HeadPose, JointRole, Look, PoseParameters, Region, Side,
 };
@@ -62,21 +63,13 @@ fn camera(width: usize, height: usize) -> Camera {
     let axes = DMat4::from_cols_array(&[
         1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0,
     ]);
-    let focal = width as f64 * 3.4;
-    Camera {
-        width,
-        height,
-        fx: focal,
-        fy: focal,
-        cx: (width as f64 - 1.0) / 2.0,
-        cy: (height as f64 - 1.0) / 2.0,
-        camera_from_world: axes * DMat4::from_translation(-eye),
-    }
+    let centred = Camera::centred(Size { width, height }, [width as f64 * 3.4; 2]);
+    Camera { camera_from_world: axes * DMat4::from_translation(-eye), ..centred }
 }
 
 /// `true` on pixels covered by the closed skin of the face, except for two pixels at its outline.
 fn inside_of_face(avatar: &Avatar, vertices: &[Vec3], camera: &Camera) -> Vec<bool> {
-    let (width, height) = (camera.width, camera.height);
+    let Size { width, height } = camera.size();
     let mut covered = vec![false; width * height];
     let model = avatar.model();
     for (triangle, region) in model.triangles.iter().zip(&model.regions) {

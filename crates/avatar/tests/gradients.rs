@@ -2,12 +2,13 @@
 
 use glam::{DMat3, DVec3, Quat, Vec3, Vec4};
 use srflow_avatar::{Avatar, BoundGradients, PosedHead};
+use srflow_core::Size;
 use srflow_head::HeadPose;
 use srflow_splat::{
     Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Options, Outputs, Rasterizer,
 };
 
-const SIZE: (usize, usize) = (150, 220);
+const SIZE: Size = Size::new(150, 220);
 
 /// Facing the head, which is seen from a side when it turns.
 fn camera() -> Camera {
@@ -18,7 +19,7 @@ fn camera() -> Camera {
 /// Gradients of a loss: waves over the picture, other ones for each output.
 fn waves() -> FrameGradients {
     let wave = |x: f32, y: f32, phase: f32| (0.11 * x + phase).sin() * (0.07 * y - 2.0 * phase).cos();
-    let pixels = (0..SIZE.0 * SIZE.1).map(|i| ((i % SIZE.0) as f32, (i / SIZE.0) as f32));
+    let pixels = (0..SIZE.pixels()).map(|i| ((i % SIZE.width) as f32, (i / SIZE.width) as f32));
     FrameGradients {
         color: pixels.clone().map(|(x, y)| [0.3, 1.1, 2.0].map(|phase| wave(x, y, phase))).collect(),
         alpha: pixels.clone().map(|(x, y)| wave(x, y, 0.7)).collect(),

@@ -9,12 +9,12 @@ use srflow_avatar::train::{
     DensityControl, Scorer, SplitScore, StepReport, Strategy, TrainConfig, TrainError, Trainer, ViewScore,
 };
 use srflow_avatar::{Avatar, AvatarFiles, PosedHead};
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 use srflow_files::write_image_png;
 use srflow_head::{HeadModel, HeadParameters, HeadPose, PoseParameters};
 use srflow_splat::{Camera, Frame, Gaussians, Options, Outputs, Rasterizer};
 
-const SIZE: (usize, usize) = (96, 128);
+const SIZE: Size = Size::new(96, 128);
 
 /// The head is 1 m in front of each camera; they are this many degrees to its side.
 const CAMERAS: [f64; 4] = [-35.0, 0.0, 35.0, 15.0];
@@ -71,7 +71,7 @@ fn write_capture(dir: &Path, avatar: &Avatar) {
             let image = PathBuf::from(format!("images/{timestep:05}_{camera_index:02}.png"));
             write_image_png(&dir.join(&image), &frame.image).expect("a picture");
             let byte = |x: usize, y: usize| [(255.0 * frame.alpha.row(y)[x]).round() as u8; 3];
-            let alpha = Image::from_fn(SIZE.0, SIZE.1, byte);
+            let alpha = Image::from_fn(SIZE.width, SIZE.height, byte);
             write_image_png(&dir.join(mask_of(&image)), &alpha).expect("a mask");
             let split = match (timestep, camera_index) {
                 (2, _) => CaptureSplit::Test,
@@ -153,7 +153,7 @@ fn held_out_cameras_and_timesteps_come_to_look_like_their_pictures() {
     for view in capture.of(CaptureSplit::Test) {
         let score = scorer.score(&read, &poses[view.timestep as usize], &capture, view).unwrap();
         scores.push(ViewScore::new(view, score));
-        assert_eq!(scorer.rendered().len(), SIZE.0 * SIZE.1);
+        assert_eq!(scorer.rendered().len(), SIZE.pixels());
     }
     let of_files = SplitScore::of(CaptureSplit::Test, &scores).unwrap();
     // Opacities and scales go through their logarithms in the file.
@@ -320,7 +320,7 @@ fn what_is_behind_the_head_can_be_covered_by_the_masks() {
     assert!(without.contains("apply_masks"), "{without}");
     // Masks of nothing: the pictures become the background, as that of the trainer where no Gaussian is.
     let mut views = Capture::read(folder.path()).unwrap().views().to_vec();
-    write_image_png(&folder.path().join("empty.png"), &Image::new(SIZE.0, SIZE.1)).unwrap();
+    write_image_png(&folder.path().join("empty.png"), &Image::new(SIZE.width, SIZE.height)).unwrap();
     views.iter_mut().for_each(|view| view.mask = Some("empty.png".into()));
     write_transforms(folder.path(), &views).unwrap();
     let (with, without) = (score(true).unwrap().unwrap(), score(false).unwrap().unwrap());

@@ -1,4 +1,4 @@
-use crate::{FlowField, Image, Plane, forward_interpolate};
+use crate::{FlowField, Image, Plane, Size, forward_interpolate};
 
 /// The flow of a pair, with what else a method predicts for it. All have the size of the frames.
 #[derive(Debug, Clone, PartialEq)]
@@ -131,10 +131,7 @@ impl<E: FlowEstimator + ?Sized> PairByPair<'_, E> {
 ///
 /// # Errors
 /// [`EstimateError::SizeMismatch`] with the first of `others` that differs.
-pub fn check_frame_sizes(
-    first: (usize, usize),
-    others: impl IntoIterator<Item = (usize, usize)>,
-) -> Result<(), EstimateError> {
+pub fn check_frame_sizes(first: Size, others: impl IntoIterator<Item = Size>) -> Result<(), EstimateError> {
     match others.into_iter().find(|size| *size != first) {
         Some(second) => Err(EstimateError::SizeMismatch { first, second }),
         None => Ok(()),
@@ -145,8 +142,8 @@ pub fn check_frame_sizes(
 #[derive(Debug, thiserror::Error)]
 pub enum EstimateError {
     /// The two frames differ in size.
-    #[error("the frames differ in size: the first is {}x{}, the second {}x{} (WIDTHxHEIGHT)", .first.0, .first.1, .second.0, .second.1)]
-    SizeMismatch { first: (usize, usize), second: (usize, usize) },
+    #[error("the frames differ in size: the first is {first}, the second {second} (WIDTHxHEIGHT)")]
+    SizeMismatch { first: Size, second: Size },
     /// The method cannot handle these frames or parameters.
     #[error("{method}: {reason}")]
     Unsupported {

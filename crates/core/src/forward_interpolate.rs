@@ -1,6 +1,6 @@
 use rayon::prelude::*;
 
-use crate::FlowField;
+use crate::{FlowField, Size};
 
 /// Projects a flow forward: the flow of the next pair if all motion continues unchanged. A pixel of the result takes the vector
 /// whose end point is nearest to it, the first in row-major order if several are; vectors that leave the frame are ignored. If
@@ -8,7 +8,7 @@ use crate::FlowField;
 ///
 /// This is the warm start of RAFT (Teed and Deng, ECCV 2020, section 3.3; `forward_interpolate` of `core/utils/utils.py`).
 pub fn forward_interpolate(flow: &FlowField) -> FlowField {
-    let (width, height) = flow.size();
+    let Size { width, height } = flow.size();
     let mut arrivals = Vec::with_capacity(width * height);
     for y in 0..height {
         for (x, vector) in flow.row(y).iter().enumerate() {
@@ -103,7 +103,7 @@ mod tests {
         assert_eq!(forward_interpolate(&flow), FlowField::new(4, 3));
         flow.set(1, 1, [0.5, 0.25]);
         assert_eq!(forward_interpolate(&flow), FlowField::filled(4, 3, [0.5, 0.25]));
-        assert_eq!(forward_interpolate(&FlowField::new(0, 0)).size(), (0, 0));
+        assert_eq!(forward_interpolate(&FlowField::new(0, 0)).size(), Size::new(0, 0));
     }
 
     /// The definition by brute force: the reference does not specify which of two equally near end points it takes.

@@ -1,30 +1,31 @@
+use crate::Size;
+
 /// The length of a pixel buffer does not match its size.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{width}x{height} needs {expected} pixels, the buffer has {found}")]
+#[error("{size} needs {expected} pixels, the buffer has {found}")]
 pub struct SizeError {
-    pub width: usize,
-    pub height: usize,
-    /// `width * height`.
+    pub size: Size,
+    /// Its width times its height.
     pub expected: usize,
     pub found: usize,
 }
 
 /// Two grids that must have the same size do not.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{first_name} is {}x{} and {second_name} {}x{} (WIDTHxHEIGHT): they must have the same size", .first.0, .first.1, .second.0, .second.1)]
+#[error("{first_name} is {first} and {second_name} {second} (WIDTHxHEIGHT): they must have the same size")]
 pub struct SizeMismatch {
     /// Name of the first, e.g. `the prediction`.
     pub first_name: &'static str,
-    pub first: (usize, usize),
+    pub first: Size,
     pub second_name: &'static str,
-    pub second: (usize, usize),
+    pub second: Size,
 }
 
 pub(crate) fn check_same_size(
     first_name: &'static str,
-    first: (usize, usize),
+    first: Size,
     second_name: &'static str,
-    second: (usize, usize),
+    second: Size,
 ) -> Result<(), SizeMismatch> {
     if first == second { Ok(()) } else { Err(SizeMismatch { first_name, first, second_name, second }) }
 }
@@ -57,7 +58,8 @@ macro_rules! grid {
             pub fn from_pixels(width: usize, height: usize, pixels: Vec<$pixel>) -> Result<Self, SizeError> {
                 let expected = width.saturating_mul(height);
                 if pixels.len() != expected {
-                    return Err(SizeError { width, height, expected, found: pixels.len() });
+                    let size = Size { width, height };
+                    return Err(SizeError { size, expected, found: pixels.len() });
                 }
                 Ok(Self { width, height, pixels })
             }
@@ -89,9 +91,9 @@ macro_rules! grid {
                 self.height
             }
 
-            /// `(width, height)`.
-            pub fn size(&self) -> (usize, usize) {
-                (self.width, self.height)
+            /// Width and height.
+            pub fn size(&self) -> Size {
+                Size::new(self.width, self.height)
             }
 
             /// The pixel at column `x` and row `y`. Panics when out of range, like slices.
@@ -193,8 +195,8 @@ mod tests {
     fn grids_beside_each_other_keep_their_rows() {
         let grid = |width, first: f32| Plane::from_fn(width, 2, |x, y| first + (y * width + x) as f32);
         let both = Plane::beside(&[grid(1, 0.0), grid(3, 10.0)]);
-        assert_eq!(both.size(), (4, 2));
+        assert_eq!(both.size(), Size::new(4, 2));
         assert_eq!(both.pixels(), [0.0, 10.0, 11.0, 12.0, 1.0, 13.0, 14.0, 15.0]);
-        assert_eq!(Plane::beside(&[]).size(), (0, 0));
+        assert_eq!(Plane::beside(&[]).size(), Size::new(0, 0));
     }
 }

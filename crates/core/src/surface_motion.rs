@@ -2,8 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::dense;
-use crate::{FlowField, Plane};
+use crate::{FlowField, Plane, Size, dense};
 
 /// Terms of a polynomial of the second degree: 1, x, y, x², xy, y².
 const TERMS: usize = 6;
@@ -20,7 +19,7 @@ const LEAST_DEVIATION_PX: f64 = 1e-3;
 pub struct SurfaceMotion {
     /// Of u and v, by term; x and y are -1 and 1 at the outermost pixels of the longer side.
     coefficients: [[f64; TERMS]; 2],
-    size: (usize, usize),
+    size: Size,
     /// Deviation of the flow that follows the motion, per component, in pixels.
     deviation_px: f64,
 }
@@ -44,7 +43,7 @@ impl SurfaceMotion {
         let points: Vec<Point> = places
             .iter()
             .map(|&index| Point {
-                terms: axis.terms(index % size.0, index / size.0),
+                terms: axis.terms(index % size.width, index / size.width),
                 flow: flow.pixels()[index].map(f64::from),
                 weight: weight(index),
             })
@@ -78,7 +77,7 @@ impl SurfaceMotion {
     /// If it has another size.
     pub fn subtracted_from(&self, flow: &FlowField) -> FlowField {
         assert_eq!(flow.size(), self.size, "a motion belongs to the flow that it was fitted to");
-        FlowField::from_fn(self.size.0, self.size.1, |x, y| {
+        FlowField::from_fn(self.size.width, self.size.height, |x, y| {
             let ([u, v], [head_u, head_v]) = (flow.get(x, y), self.at(x, y));
             [u - head_u, v - head_v]
         })
@@ -122,7 +121,7 @@ struct Axis {
 }
 
 impl Axis {
-    fn of((width, height): (usize, usize)) -> Self {
+    fn of(Size { width, height }: Size) -> Self {
         let middle = [width, height].map(|side| side.saturating_sub(1) as f64 / 2.0);
         Self { middle, half: middle[0].max(middle[1]).max(0.5) }
     }

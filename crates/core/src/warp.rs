@@ -1,6 +1,6 @@
 use rayon::prelude::*;
 
-use crate::{FlowField, Image, Mask, SizeMismatch, check_same_size};
+use crate::{FlowField, Image, Mask, Size, SizeMismatch, check_same_size};
 
 /// Reconstructs frame 1 by backward warping: each pixel is `frame2` at the position that `flow` points to, interpolated
 /// bilinearly. The mask is `true` where that is possible: the flow is known and ends inside the frame, within `0..=W-1` and
@@ -10,7 +10,7 @@ use crate::{FlowField, Image, Mask, SizeMismatch, check_same_size};
 /// When the sizes differ.
 pub fn warp(frame2: &Image, flow: &FlowField) -> Result<(Image, Mask), SizeMismatch> {
     check_same_size("the frame", frame2.size(), "the flow", flow.size())?;
-    let (width, height) = flow.size();
+    let Size { width, height } = flow.size();
     let mut warped = Image::new(width, height);
     let mut valid = Mask::new(width, height);
     let rows = warped.pixels_mut().par_chunks_mut(width.max(1));
@@ -61,7 +61,7 @@ pub fn forward_backward_check(
     tolerance: Tolerance,
 ) -> Result<Mask, SizeMismatch> {
     check_same_size("the forward flow", forward.size(), "the backward flow", backward.size())?;
-    let (width, height) = forward.size();
+    let Size { width, height } = forward.size();
     let agree = |f: [f32; 2], b: [f32; 2]| {
         let square = |[u, v]: [f32; 2]| u * u + v * v;
         let gap = square([f[0] + b[0], f[1] + b[1]]);

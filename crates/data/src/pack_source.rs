@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use srflow_core::Size;
 use srflow_files::{FileKind, FlowFormat, parse_error_in_words, read_image_size, read_text};
 use srflow_pack::{PairSource, Scene, Source};
 
@@ -35,7 +36,7 @@ fn rendered(dir: &Path, manifest: Manifest) -> Source {
         description: serde_json::to_value(&manifest).unwrap_or_default(),
         faces: true,
         flow_format: manifest.arguments.flow_format.parse().ok(),
-        size: (manifest.arguments.width, manifest.arguments.height),
+        size: Size::new(manifest.arguments.width, manifest.arguments.height),
         scenes: scenes.map(|scene| Scene { split: scene.split, pairs: scene.pairs.into() }).collect(),
         pair: {
             let dir = dir.to_owned();

@@ -7,7 +7,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 use srflow_core::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Mask, ScoreError, Shard,
-    score,
+    Size, score,
 };
 use srflow_data::flow::{DatasetError, Entry, EntryFile, FlowDataset, Sample};
 
@@ -43,8 +43,8 @@ impl<'a> Method<'a> {
 /// Settings of an evaluation.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Settings<'a> {
-    /// Width and height of the window around the head that estimators see and scores count; `None` for whole frames.
-    pub crop: Option<(usize, usize)>,
+    /// Size of the window around the head that estimators see and scores count; `None` for whole frames.
+    pub crop: Option<Size>,
     /// Windows by the names of pairs, in place of `crop`; or why a pair has none, so that it cannot be scored.
     pub windows: Option<&'a BTreeMap<String, Result<Window, String>>>,
     /// Score only this many pairs, spread evenly over the dataset.
@@ -318,7 +318,7 @@ pub fn evaluate(
             dataset: dataset.name().to_owned(),
             split: dataset.split(),
             folder: dataset.dir().display().to_string(),
-            crop: settings.crop,
+            crop: settings.crop.map(|Size { width, height }| [width, height]),
             at_faces: settings.windows.is_some(),
             limit: settings.limit,
             small_motion: settings.small_motion,
@@ -376,8 +376,8 @@ struct Pair {
     expression_truth: Option<ExpressionTruth>,
     /// Whether iterations are kept.
     iterations: bool,
-    /// Width and height of the frames before cropping.
-    whole: (usize, usize),
+    /// Of the frames before cropping.
+    whole: Size,
     window: Option<Window>,
     scene: String,
     files: [EntryFile; 2],
@@ -449,7 +449,7 @@ impl Pair {
         [&self.sample.frame1, &self.sample.frame2]
     }
 
-    fn size(&self) -> [(usize, usize); 2] {
+    fn size(&self) -> [Size; 2] {
         self.frames().map(Image::size)
     }
 }

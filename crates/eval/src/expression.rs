@@ -1,7 +1,7 @@
 //! How well an estimate shows the motion of an expression, apart from that of the head.
 
 use serde::{Deserialize, Serialize};
-use srflow_core::{FlowField, Mask};
+use srflow_core::{FlowField, Mask, Size};
 
 /// The motion that remains when that of the head is taken away: of each flow its best affine fit within the head. For one pair,
 /// or the mean over pairs.
@@ -20,7 +20,7 @@ impl Expression {
     /// Of the pixels of `head`, or of all pixels, where both flows are known. All are of one size. `None` where the true flow is affine,
     /// or too few pixels are known.
     pub(crate) fn of(estimate: &FlowField, truth: &FlowField, head: Option<&Mask>) -> Option<Self> {
-        let (width, height) = truth.size();
+        let Size { width, height } = truth.size();
         let places = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
         let counts = |&(x, y): &(usize, usize)| {
             head.is_none_or(|head| head.get(x, y)) && truth.is_known(x, y) && estimate.is_known(x, y)
@@ -115,10 +115,10 @@ impl AffineFit {
 mod tests {
     use super::*;
 
-    const SIZE: (usize, usize) = (24, 20);
+    const SIZE: Size = Size::new(24, 20);
 
     fn flow(of: impl Fn(f32, f32) -> [f32; 2]) -> FlowField {
-        FlowField::from_fn(SIZE.0, SIZE.1, |x, y| of(x as f32, y as f32))
+        FlowField::from_fn(SIZE.width, SIZE.height, |x, y| of(x as f32, y as f32))
     }
 
     fn expression(x: f32, y: f32) -> [f32; 2] {
@@ -150,13 +150,13 @@ mod tests {
 
     #[test]
     fn only_known_pixels_of_the_head_count() {
-        let head = Mask::from_fn(SIZE.0, SIZE.1, |x, _| x < 12);
+        let head = Mask::from_fn(SIZE.width, SIZE.height, |x, _| x < 12);
         let outside = flow(|x, y| if x < 12.0 { expression(x, y) } else { [9.0, x * y] });
         let found = Expression::of(&outside, &flow(with_head_motion), Some(&head)).expect("an expression");
         assert!((found.correlation - 1.0).abs() < 1e-3, "{found:?}");
         let unknown = flow(|_, _| [f32::NAN; 2]);
         assert_eq!(Expression::of(&flow(expression), &unknown, None), None);
-        let line = Mask::from_fn(SIZE.0, SIZE.1, |_, y| y == 3);
+        let line = Mask::from_fn(SIZE.width, SIZE.height, |_, y| y == 3);
         assert_eq!(Expression::of(&flow(expression), &flow(expression), Some(&line)), None);
     }
 }

@@ -1,7 +1,7 @@
 //! How exact the flow of an expression is that an estimate gives once the motion of the head is subtracted from it.
 
 use serde::{Deserialize, Serialize};
-use srflow_core::{FlowField, Labels, Mask, Plane, SurfaceMotion};
+use srflow_core::{FlowField, Labels, Mask, Plane, Size, SurfaceMotion};
 use srflow_data::region_map::HeadPart;
 
 /// Errors in the face of a flow, and of what is left of it as the expression's: the motion that most of the face follows
@@ -49,7 +49,7 @@ pub(crate) struct Face {
 impl Face {
     /// By a region map, skin is fitted, and skin, eyes and mouth are scored; without one, both are the head, or the frame. All are of
     /// one size.
-    pub fn new(map: Option<&Labels>, head: Option<&Mask>, (width, height): (usize, usize)) -> Self {
+    pub fn new(map: Option<&Labels>, head: Option<&Mask>, Size { width, height }: Size) -> Self {
         let part = |x, y| map.map(|map| HeadPart::of_label(map.get(x, y)));
         let in_head = |x, y| head.is_none_or(|head| head.get(x, y));
         let fitted = |x, y| part(x, y).map_or_else(|| in_head(x, y), |part| part == Some(HeadPart::Skin));
@@ -115,9 +115,9 @@ mod tests {
         let rows = |face: &Face| (face.fitted.row(1).to_vec(), face.scored.row(0).to_vec());
         let (yes, no) = (true, false);
         let expected = (vec![0.0, 1.0, 0.0, 0.0, 0.0, 0.0], vec![no, yes, yes, yes, no, no]);
-        assert_eq!(rows(&Face::new(Some(&map), Some(&head), (6, 2))), expected);
+        assert_eq!(rows(&Face::new(Some(&map), Some(&head), Size::new(6, 2))), expected);
         let expected = (vec![0.0, 1.0, 1.0, 1.0, 1.0, 1.0], vec![no, yes, yes, yes, yes, yes]);
-        assert_eq!(rows(&Face::new(None, Some(&head), (6, 2))), expected);
-        assert_eq!(rows(&Face::new(None, None, (6, 2))), (vec![1.0; 6], vec![yes; 6]));
+        assert_eq!(rows(&Face::new(None, Some(&head), Size::new(6, 2))), expected);
+        assert_eq!(rows(&Face::new(None, None, Size::new(6, 2))), (vec![1.0; 6], vec![yes; 6]));
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use srflow_core::FlowField;
+use srflow_core::{FlowField, Size};
 use srflow_data::flow::FlowDataset;
 use srflow_files::{FileError, FlowFormat, read_flow_as};
 
@@ -58,22 +58,22 @@ pub enum FlowFileError {
     Read(#[from] FileError),
     /// It has the wrong size.
     #[error(
-        "{}: expected a flow of {}x{} as the frames are{}, found {}x{} (WIDTHxHEIGHT)",
-        .path.display(), .frame.0, .frame.1, crop_words(.crop), .found.0, .found.1
+        "{}: expected a flow of {frame} as the frames are{}, found {found} (WIDTHxHEIGHT)",
+        .path.display(), crop_words(.crop)
     )]
     Size {
         path: PathBuf,
-        /// Width and height of the frames.
-        frame: (usize, usize),
-        /// Width and height of the scored crop.
-        crop: Option<(usize, usize)>,
-        /// Width and height of the flow.
-        found: (usize, usize),
+        /// Of the frames.
+        frame: Size,
+        /// Of the scored crop.
+        crop: Option<Size>,
+        /// Of the flow.
+        found: Size,
     },
 }
 
-fn crop_words(crop: &Option<(usize, usize)>) -> String {
-    crop.map_or(String::new(), |(width, height)| format!(", or of {width}x{height} as the crop is"))
+fn crop_words(crop: &Option<Size>) -> String {
+    crop.map_or(String::new(), |crop| format!(", or of {crop} as the crop is"))
 }
 
 impl FlowFiles {
@@ -122,7 +122,7 @@ impl FlowFiles {
     ///
     /// # Errors
     /// When the file cannot be read or has another size.
-    pub fn flow(&self, pair: &str, frame: (usize, usize)) -> Result<FlowField, FlowFileError> {
+    pub fn flow(&self, pair: &str, frame: Size) -> Result<FlowField, FlowFileError> {
         self.read(pair, frame, None)
     }
 
@@ -130,12 +130,12 @@ impl FlowFiles {
     pub(crate) fn read(
         &self,
         pair: &str,
-        frame: (usize, usize),
+        frame: Size,
         window: Option<Window>,
     ) -> Result<FlowField, FlowFileError> {
         let (path, format) = &self.files[pair]; // `find` found a file for every scored pair
         let flow = read_flow_as(path, *format)?;
-        let crop = window.map(|Window { width, height, .. }| (width, height));
+        let crop = window.map(|Window { width, height, .. }| Size { width, height });
         match window {
             _ if Some(flow.size()) == crop => Ok(flow),
             None if flow.size() == frame => Ok(flow),

@@ -1,6 +1,6 @@
 //! The pixels of a pair that scores of a region cover.
 
-use srflow_core::{FlowField, Labels, Mask};
+use srflow_core::{FlowField, Labels, Mask, Size};
 use srflow_data::region_map::HeadPart;
 
 use crate::results::Region;
@@ -31,7 +31,7 @@ pub(crate) fn of_map(map: &Labels) -> Vec<(Region, Mask)> {
 
 /// The pixels of the head at most [`RIM`] pixels away from the background in the frame, from centre to centre.
 fn rim(map: &Labels) -> Mask {
-    let (width, height) = map.size();
+    let Size { width, height } = map.size();
     let is_head = |x: usize, y: usize| map.get(x, y) > 0;
     let mut rim = Mask::new(width, height);
     let near = |at: usize, size: usize| at.saturating_sub(RIM)..(at + RIM + 1).min(size);

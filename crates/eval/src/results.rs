@@ -19,7 +19,7 @@ pub struct Evaluation {
     pub split: Split,
     pub folder: String,
     /// Width and height of the window around the head; `None` for whole frames.
-    pub crop: Option<(usize, usize)>,
+    pub crop: Option<[usize; 2]>,
     /// Whether each pair was scored in a window of its own about the face; of the size `crop`, if it is given.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub at_faces: bool,
@@ -261,8 +261,8 @@ impl Evaluation {
 
     fn crop_in_words(&self) -> String {
         match (self.crop, self.at_faces) {
-            (Some((width, height)), false) => format!(", cropped to {width}x{height}"),
-            (Some((width, height)), true) => format!(", cropped to {width}x{height} about the face"),
+            (Some([width, height]), false) => format!(", cropped to {width}x{height}"),
+            (Some([width, height]), true) => format!(", cropped to {width}x{height} about the face"),
             (None, true) => ", cropped to the face".to_owned(),
             (None, false) => String::new(),
         }

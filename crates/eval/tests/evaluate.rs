@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Mutex;
 
 use srflow_core::{
-    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Labels, Mask, Metrics,
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Labels, Mask, Metrics, Size,
 };
 use srflow_data::flow::{DatasetSpec, FlowDataset};
 use srflow_eval::{
@@ -13,7 +13,7 @@ use srflow_eval::{
 };
 use srflow_files::{write_flow, write_image_png, write_labels_png, write_mask_png};
 
-const SIZE: (usize, usize) = (40, 24);
+const SIZE: Size = Size::new(40, 24);
 
 /// Reads the truth that [`write_pair`] encodes in the red channel and adds an error: `left` in the left half of the frame it
 /// sees, `right` in the other.
@@ -39,14 +39,15 @@ impl FlowEstimator for Knowing {
 /// quarter is occluded.
 fn write_pair(dir: &Path, name: &str) {
     let file = |ending: &str| dir.join(format!("{name}_{ending}"));
-    let frame = Image::from_fn(SIZE.0, SIZE.1, |x, y| [x as u8, y as u8, 7]);
+    let Size { width, height } = SIZE;
+    let frame = Image::from_fn(width, height, |x, y| [x as u8, y as u8, 7]);
     write_image_png(&file("img1.png"), &frame).unwrap();
     write_image_png(&file("img2.png"), &frame).unwrap();
     let unknown = |y: usize| if y == 0 { f32::NAN } else { 0.0 };
-    let truth = FlowField::from_fn(SIZE.0, SIZE.1, |x, y| [x as f32 / 4.0 + unknown(y), unknown(y)]);
+    let truth = FlowField::from_fn(width, height, |x, y| [x as f32 / 4.0 + unknown(y), unknown(y)]);
     write_flow(&file("flow.flo"), &truth).unwrap();
-    write_mask_png(&file("mask.png"), &Mask::from_fn(SIZE.0, SIZE.1, |x, _| x >= SIZE.0 / 2)).unwrap();
-    write_mask_png(&file("occlusion.png"), &Mask::from_fn(SIZE.0, SIZE.1, |x, _| x < SIZE.0 / 4)).unwrap();
+    write_mask_png(&file("mask.png"), &Mask::from_fn(width, height, |x, _| x >= width / 2)).unwrap();
+    write_mask_png(&file("occlusion.png"), &Mask::from_fn(width, height, |x, _| x < width / 4)).unwrap();
 }
 
 fn dataset(dir: &Path, pairs: usize) -> FlowDataset {
@@ -81,7 +82,7 @@ fn a_shifted_truth_has_exactly_its_shift_as_error() {
     assert!((metrics.epe - 2.5).abs() < 1e-6, "{metrics:?}");
     assert_eq!((metrics.px1, metrics.px3, metrics.px5, metrics.f1_all), (0.0, 1.0, 1.0, 0.0));
     // The first row has no truth.
-    assert_eq!(metrics.valid_pixels, 3 * (SIZE.0 * (SIZE.1 - 1)) as u64);
+    assert_eq!(metrics.valid_pixels, 3 * (SIZE.width * (SIZE.height - 1)) as u64);
     // All pixels lie within 2.5 px, none within 2.45 px.
     let within = &evaluation.methods[1].within;
     assert_eq!((within[48], within[49]), (0.0, 1.0));
@@ -93,7 +94,7 @@ fn the_baseline_comes_first_and_has_the_length_of_the_flow() {
     let exact = Knowing { left: [0.0; 2], right: [0.0; 2] };
     let evaluation = run(&dataset(dir.path(), 2), &exact, Settings::default()).unwrap();
     assert!(evaluation.methods[0].baseline && evaluation.methods[0].name == "zero");
-    let mean_length = (0..SIZE.0).map(|x| x as f64 / 4.0).sum::<f64>() / SIZE.0 as f64;
+    let mean_length = (0..SIZE.width).map(|x| x as f64 / 4.0).sum::<f64>() / SIZE.width as f64;
     assert!((epe(&evaluation, 0, Region::Whole) - mean_length).abs() < 1e-6);
     assert_eq!(epe(&evaluation, 1, Region::Whole), 0.0);
 }
@@ -128,7 +129,7 @@ fn regions_count_their_own_pixels() {
 /// The region map of the head in the right half: hair above, neck below, an eye and a mouth in the skin between. Its rim is the columns
 /// 20 to 22.
 fn region_map() -> Labels {
-    Labels::from_fn(SIZE.0, SIZE.1, |x, y| match (x, y) {
+    Labels::from_fn(SIZE.width, SIZE.height, |x, y| match (x, y) {
         (..20, _) => 0,
         (_, ..4) => 4,
         (_, 20..) => 5,
@@ -177,7 +178,7 @@ fn an_error_in_one_region_is_in_its_scores_alone() {
         }
     };
     // Of the head, the crop contains the columns 26 to 33: no rim.
-    for crop in [None, Some((8, 24))] {
+    for crop in [None, Some(Size::new(8, 24))] {
         let settings = Settings { regions: true, crop, ..Settings::default() };
         for wrong in Region::OF_MAPS {
             let evaluation = run(&dataset, &WrongAt(|x, y| is_in(wrong, x, y)), settings).unwrap();
@@ -256,7 +257,7 @@ fn small_motion_is_scored_on_the_head() {
     let evaluation = run(&dataset, &method, settings).unwrap();
     // The columns 20 to 23 move by 5 to 5.75 px.
     let metrics = &evaluation.methods[1].regions[&Region::SmallMotion];
-    assert_eq!((metrics.epe, metrics.valid_pixels), (0.5, 4 * (SIZE.1 as u64 - 1)));
+    assert_eq!((metrics.epe, metrics.valid_pixels), (0.5, 4 * (SIZE.height as u64 - 1)));
     let [_, relative] = &evaluation.by_region()[..] else { panic!("two tables") };
     assert!((relative.rows[1].value(0).unwrap() - 0.5 / 5.375).abs() < 1e-6);
     assert!(
@@ -270,7 +271,7 @@ fn small_motion_is_scored_on_the_head() {
 fn a_crop_is_centred_on_the_head_and_keeps_frames_and_truth_together() {
     let dir = tempfile::tempdir().unwrap();
     let exact = Knowing { left: [0.0; 2], right: [0.0; 2] };
-    let settings = Settings { crop: Some((10, 6)), ..Settings::default() };
+    let settings = Settings { crop: Some(Size::new(10, 6)), ..Settings::default() };
     let mut seen = Vec::new();
     let evaluation =
         evaluate(&dataset(dir.path(), 1), &[Method::Estimator(&exact)], settings, &mut |event| {
@@ -280,10 +281,10 @@ fn a_crop_is_centred_on_the_head_and_keeps_frames_and_truth_together() {
         })
         .unwrap();
     // The head covers columns 20 to 39 and all rows: its middle is (29.5, 11.5).
-    assert_eq!(seen, [((10, 6), [25, 9, 7], [6.25, 0.0])]);
+    assert_eq!(seen, [(Size::new(10, 6), [25, 9, 7], [6.25, 0.0])]);
     assert_eq!(epe(&evaluation, 1, Region::Whole), 0.0);
 
-    let too_large = Settings { crop: Some((1200, 1600)), ..Settings::default() };
+    let too_large = Settings { crop: Some(Size::new(1200, 1600)), ..Settings::default() };
     let error = run(&open(dir.path()), &exact, too_large).unwrap_err().to_string();
     assert!(error.contains("pair0") && error.contains("1200x1600") && error.contains("40x24"), "{error}");
 }
@@ -340,7 +341,7 @@ fn scores_do_not_depend_on_how_many_pairs_are_estimated_at_once() {
     let pairs = dataset(dir.path(), 9);
     std::fs::write(dir.path().join("pair1_img2.png"), b"not a picture").unwrap();
     for name in ["pair4_img1.png", "pair4_img2.png"] {
-        write_image_png(&dir.path().join(name), &Image::filled(SIZE.0, SIZE.1, REFUSED)).unwrap();
+        write_image_png(&dir.path().join(name), &Image::filled(SIZE.width, SIZE.height, REFUSED)).unwrap();
     }
     for (name, ending) in [("pair6", "mask.png"), ("pair6", "occlusion.png")] {
         std::fs::remove_file(dir.path().join(format!("{name}_{ending}"))).unwrap();
@@ -470,9 +471,9 @@ fn a_method_that_remembers_sees_scenes_in_order_and_starts_anew_in_each() {
         }
         for number in 0..frames {
             let path = |folder: &str, end: &str| dir.path().join(format!("{folder}/{scene}/{number}.{end}"));
-            write_image_png(&path("frames", "png"), &Image::new(SIZE.0, SIZE.1)).unwrap();
+            write_image_png(&path("frames", "png"), &Image::new(SIZE.width, SIZE.height)).unwrap();
             if number + 1 < frames {
-                write_flow(&path("flow", "flo"), &FlowField::new(SIZE.0, SIZE.1)).unwrap();
+                write_flow(&path("flow", "flo"), &FlowField::new(SIZE.width, SIZE.height)).unwrap();
             }
         }
     }
@@ -485,7 +486,10 @@ fn a_method_that_remembers_sees_scenes_in_order_and_starts_anew_in_each() {
         seen(Settings { batch: NonZeroUsize::new(3), ..Settings::default() }),
         [1.0, 2.0, 3.0, 1.0, 2.0]
     );
-    assert_eq!(seen(Settings { crop: Some((16, 8)), ..Settings::default() }), [1.0, 2.0, 3.0, 1.0, 2.0]);
+    assert_eq!(
+        seen(Settings { crop: Some(Size::new(16, 8)), ..Settings::default() }),
+        [1.0, 2.0, 3.0, 1.0, 2.0]
+    );
     assert_eq!(seen(Settings { limit: Some(2), ..Settings::default() }), [1.0, 1.0], "pairs apart");
 }
 
@@ -537,7 +541,7 @@ fn flow_files_score_as_the_method_that_wrote_them() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dataset(&dir.path().join("pairs"), 3);
     let method = Knowing { left: [0.5, 0.25], right: [0.5, 0.25] };
-    let crop = Settings { crop: Some((21, 15)), ..Settings::default() };
+    let crop = Settings { crop: Some(Size::new(21, 15)), ..Settings::default() };
     for (settings, written) in [(Settings::default(), None), (crop, None), (crop, crop.crop)] {
         let files = dir.path().join("flows");
         std::fs::create_dir_all(&files).unwrap();
@@ -571,7 +575,7 @@ fn flow_files_that_do_not_fit_are_named() {
     let files = dir.path().join("flows");
     std::fs::create_dir(&files).unwrap();
     let find = |limit| FlowFiles::find("theirs".into(), &files, &dataset, limit);
-    write_flow(&files.join("pair1.flo"), &FlowField::new(SIZE.0, SIZE.1)).unwrap();
+    write_flow(&files.join("pair1.flo"), &FlowField::new(SIZE.width, SIZE.height)).unwrap();
     let error = find(None).unwrap_err().to_string();
     assert!(
         error.contains("2 of 3 pairs") && error.contains("pair0, pair2") && error.contains("pair0.flo"),
@@ -600,7 +604,7 @@ fn a_pair_whose_flow_cannot_be_scored_goes_to_no_further_method() {
     let files = dir.path().join("flows");
     std::fs::create_dir(&files).unwrap();
     for pair in 0..3 {
-        let flow = FlowField::filled(SIZE.0, SIZE.1, [if pair == 1 { f32::NAN } else { 0.5 }; 2]);
+        let flow = FlowField::filled(SIZE.width, SIZE.height, [if pair == 1 { f32::NAN } else { 0.5 }; 2]);
         write_flow(&files.join(format!("pair{pair}.npy")), &flow).unwrap();
     }
     let theirs = FlowFiles::find("theirs".into(), &files, &dataset, None).unwrap();

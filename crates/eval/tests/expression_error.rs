@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
+use srflow_core::{EstimateError, FlowEstimator, FlowField, Image, Size};
 use srflow_data::flow::{DatasetSpec, FlowDataset};
 use srflow_eval::{EvaluateError, ExpressionError, Method, Settings, evaluate};
 use srflow_files::{write_flow, write_image_png};
 
-const SIZE: (usize, usize) = (80, 60);
+const SIZE: Size = Size::new(80, 60);
 
 /// Whether the expression moves this pixel.
 fn moves(x: usize, y: usize) -> bool {
@@ -21,18 +21,18 @@ fn flows() -> [FlowField; 2] {
         [2.0 + 0.3 * x - 0.2 * y, -1.0 + 0.1 * x + 0.25 * y]
     };
     let whole = |x, y| if moves(x, y) { [head(x, y)[0] + 0.6, head(x, y)[1] - 0.8] } else { head(x, y) };
-    [FlowField::from_fn(SIZE.0, SIZE.1, head), FlowField::from_fn(SIZE.0, SIZE.1, whole)]
+    [FlowField::from_fn(SIZE.width, SIZE.height, head), FlowField::from_fn(SIZE.width, SIZE.height, whole)]
 }
 
 /// A set of two clips in the form of `srflow mer synth`.
 fn set(dir: &Path) -> FlowDataset {
     let [_, whole] = flows();
     let expression =
-        FlowField::from_fn(SIZE.0, SIZE.1, |x, y| if moves(x, y) { [0.6, -0.8] } else { [0.0; 2] });
+        FlowField::from_fn(SIZE.width, SIZE.height, |x, y| if moves(x, y) { [0.6, -0.8] } else { [0.0; 2] });
     let mut rows = "clip,subject,onset,apex,offset,class\n".to_owned();
     for clip in ["a", "b"] {
         std::fs::create_dir(dir.join(clip)).unwrap();
-        let frame = Image::new(SIZE.0, SIZE.1);
+        let frame = Image::new(SIZE.width, SIZE.height);
         (1..4).for_each(|n| write_image_png(&dir.join(format!("{clip}/{n}.png")), &frame).unwrap());
         write_flow(&dir.join(format!("{clip}_flow.flo")), &whole).unwrap();
         write_flow(&dir.join(format!("{clip}_expression_flow.flo")), &expression).unwrap();
@@ -57,8 +57,8 @@ impl FlowEstimator for Fixed {
     fn estimate(&self, frame1: &Image, _frame2: &Image) -> Result<FlowField, EstimateError> {
         let size = frame1.size();
         // The window of a crop of the middle.
-        let (left, top) = ((SIZE.0 - size.0) / 2, (SIZE.1 - size.1) / 2);
-        Ok(self.0.crop(left, top, size.0, size.1))
+        let (left, top) = ((SIZE.width - size.width) / 2, (SIZE.height - size.height) / 2);
+        Ok(self.0.crop(left, top, size.width, size.height))
     }
 }
 
@@ -74,7 +74,7 @@ fn run(dataset: &FlowDataset, flow: FlowField, settings: Settings) -> Vec<Expres
 
 fn changed(change: impl Fn(usize, usize) -> [f32; 2]) -> FlowField {
     let [_, whole] = flows();
-    FlowField::from_fn(SIZE.0, SIZE.1, |x, y| {
+    FlowField::from_fn(SIZE.width, SIZE.height, |x, y| {
         let ([u, v], [du, dv]) = (whole.get(x, y), change(x, y));
         [u + du, v + dv]
     })
@@ -103,7 +103,7 @@ fn an_error_that_the_head_could_have_is_none_of_the_expression() {
 fn a_crop_keeps_flow_and_expression_together() {
     let folder = tempfile::tempdir().unwrap();
     let set = set(folder.path());
-    let found = run(&set, changed(|_, _| [0.0; 2]), Settings { crop: Some((76, 56)), ..asked() });
+    let found = run(&set, changed(|_, _| [0.0; 2]), Settings { crop: Some(Size::new(76, 56)), ..asked() });
     assert!(found[1].flow_epe == 0.0 && found[1].expression_epe < 2e-3, "{found:?}");
 }
 

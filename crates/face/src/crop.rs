@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use serde::Serialize;
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 
 use crate::FaceError;
 use crate::points::{FacePoints, distance};
@@ -47,14 +47,14 @@ impl FromStr for FaceBox {
 
 impl FaceBox {
     /// # Errors
-    /// When it is not inside of a frame of this width and height.
-    pub fn check_inside(self, (width, height): (usize, usize)) -> Result<(), FaceError> {
+    /// When it is not inside of a frame of this size.
+    pub fn check_inside(self, frame: Size) -> Result<(), FaceError> {
         let fits =
             |start: usize, len: usize, whole: usize| start.checked_add(len).is_some_and(|end| end <= whole);
-        if fits(self.left, self.width, width) && fits(self.top, self.height, height) {
+        if fits(self.left, self.width, frame.width) && fits(self.top, self.height, frame.height) {
             return Ok(());
         }
-        Err(FaceError::Outside { face: self, width, height })
+        Err(FaceError::Outside { face: self, frame })
     }
 }
 
@@ -125,12 +125,12 @@ impl FrameCrop {
             }
             Self::Upright { side, origin, right: [c, s] } => {
                 let place = |x: f64, y: f64| [origin[0] + x * c - y * s, origin[1] + x * s + y * c];
-                let (width, height) = frame.size();
+                let size = frame.size();
                 for x in EYES_X {
                     let eye = place(x * side as f64, EYES_Y * side as f64);
                     let near = |at: f64, whole: usize| (at / whole as f64 - 0.5).abs() <= 1.0;
-                    if !near(eye[0], width) || !near(eye[1], height) {
-                        return Err(FaceError::FarOutside { eye, width, height });
+                    if !near(eye[0], size.width) || !near(eye[1], size.height) {
+                        return Err(FaceError::FarOutside { eye, frame: size });
                     }
                 }
                 Ok(Image::from_fn(side, side, |x, y| {
@@ -141,12 +141,12 @@ impl FrameCrop {
         }
     }
 
-    /// Width and height of the picture that it cuts out of a frame of this size.
-    pub fn size_in(&self, frame: (usize, usize)) -> (usize, usize) {
+    /// Size of the picture that it cuts out of a frame of this size.
+    pub fn size_in(&self, frame: Size) -> Size {
         match *self {
             Self::Whole => frame,
-            Self::Fixed(FaceBox { width, height, .. }) => (width, height),
-            Self::Upright { side, .. } => (side, side),
+            Self::Fixed(FaceBox { width, height, .. }) => Size { width, height },
+            Self::Upright { side, .. } => Size::new(side, side),
         }
     }
 
@@ -195,7 +195,7 @@ mod tests {
         });
         let crop = FrameCrop::upright(&FacePoints::of(&eyes).unwrap());
         let face = crop.apply(&frame).unwrap();
-        assert_eq!(face.size(), (100, 100));
+        assert_eq!(face.size(), Size::new(100, 100));
         for (eye, x) in eyes.into_iter().zip([30.0, 70.0]) {
             let at = crop.point(eye);
             assert!((at[0] - x).abs() < 1e-9 && (at[1] - 36.0).abs() < 1e-9, "{at:?}");
@@ -208,7 +208,8 @@ mod tests {
     fn landmarks_far_outside_of_the_frame_are_refused() {
         let frame = Image::from_fn(160, 140, |_, _| [20; 3]);
         let cut = |eyes: [[f64; 2]; 2]| FrameCrop::upright(&FacePoints::of(&eyes).unwrap()).apply(&frame);
-        assert_eq!(cut([[-10.0, 50.0], [50.0, 50.0]]).unwrap().size(), (150, 150), "cut by the border");
+        let at_border = cut([[-10.0, 50.0], [50.0, 50.0]]).unwrap();
+        assert_eq!(at_border.size(), Size::new(150, 150), "cut by the border");
         for eyes in
             [[[60.0, 50.0], [9999.0, 50.0]], [[60.0, 50.0], [100.0, 400.0]], [[-900.0, 1.0], [-850.0, 1.0]]]
         {
@@ -222,7 +223,7 @@ mod tests {
         let frame = Image::from_fn(30, 20, |x, y| [x as u8, y as u8, 0]);
         let fixed = |text: &str| FrameCrop::Fixed(text.parse().unwrap()).apply(&frame);
         let face = fixed("5,6,10x8").unwrap();
-        assert_eq!((face.size(), face.get(0, 0)), ((10, 8), [5, 6, 0]));
+        assert_eq!((face.size(), face.get(0, 0)), (Size::new(10, 8), [5, 6, 0]));
         assert!(fixed("25,0,6x5").unwrap_err().to_string().contains("30x20"));
         assert!(fixed("0,18446744073709551615,6x5").is_err());
         for text in ["", "1,2", "1,2,3", "1,2,0x4", "-1,2,3x4"] {

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use srflow_core::printable;
+use srflow_core::{Size, printable};
 use srflow_files::FileError;
 
 use crate::FaceBox;
@@ -27,26 +27,17 @@ pub enum FaceError {
     },
     /// An eye is far outside the frame: the landmarks are those of another frame, or wrong.
     #[error(
-        "the landmarks put an eye at ({:.0}, {:.0}), far outside of the frame of {width}x{height} (WIDTHxHEIGHT); mend \
+        "the landmarks put an eye at ({:.0}, {:.0}), far outside of the frame of {frame} (WIDTHxHEIGHT); mend \
          their row or leave it out", .eye[0], .eye[1]
     )]
     FarOutside {
         /// The eye in pixels.
         eye: [f64; 2],
-        /// Width of the frame.
-        width: usize,
-        /// Height of the frame.
-        height: usize,
+        frame: Size,
     },
     /// The box is not inside the frame.
-    #[error("the box {face} does not lie in a frame of {width}x{height} (WIDTHxHEIGHT)")]
-    Outside {
-        face: FaceBox,
-        /// Width of the frame.
-        width: usize,
-        /// Height of the frame.
-        height: usize,
-    },
+    #[error("the box {face} does not lie in a frame of {frame} (WIDTHxHEIGHT)")]
+    Outside { face: FaceBox, frame: Size },
     /// The detector finds nothing.
     #[error(
         "no face is found; the detector sees faces that are turned by less than about 60 degrees and take at least a tenth of \

@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 
 use crate::blendshapes::{self, BlendShapes};
 use crate::model::{Model, Package};
@@ -70,7 +70,7 @@ pub struct Face {
 
 impl Face {
     /// The box about its points, inside of a frame of this size.
-    pub fn bounds(&self, (width, height): (usize, usize)) -> FaceBox {
+    pub fn bounds(&self, Size { width, height }: Size) -> FaceBox {
         let range = |axis: usize, size: usize| {
             let all = || self.mesh.iter().map(|point| point[axis]);
             let last = size.saturating_sub(1) as f64;

@@ -43,9 +43,8 @@ impl PersonMask {
     /// # Errors
     /// When the network does not fit together, or computes something that is no probability.
     pub fn mask(&self, frame: &Image) -> Result<Plane, FaceError> {
-        let (width, height) = frame.size();
         if frame.pixels().is_empty() {
-            return Ok(Plane::new(width, height));
+            return Ok(Plane::new(frame.width(), frame.height()));
         }
         let failed = |problem: String| ModelError { path: MODEL.name.into(), problem };
         let seen = Region::stretched(frame).planes(frame, [SIDE, SIDE], [0.0, 1.0], Beyond::Black);
@@ -56,7 +55,7 @@ impl PersonMask {
         let found = probabilities.len();
         let mask = Plane::from_pixels(SIDE, SIDE, probabilities)
             .map_err(|_| failed(format!("expected a mask of {SIDE}x{SIDE} pixels, found {found} numbers")))?;
-        Ok(resize_linear(&mask, (width, height), 1.0))
+        Ok(resize_linear(&mask, frame.size(), 1.0))
     }
 }
 

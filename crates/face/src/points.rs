@@ -1,4 +1,4 @@
-use srflow_core::MEDIAPIPE_OF_DLIB;
+use srflow_core::{MEDIAPIPE_OF_DLIB, Size};
 
 use crate::crop::{EYES_Y, upright_side};
 use crate::{FaceBox, FaceError};
@@ -28,11 +28,11 @@ impl FacePoints {
     }
 
     /// The box that [`FrameCrop::upright`](crate::FrameCrop::upright) would cut if the face were not tilted, as far as it is inside of a
-    /// frame of this width and height.
+    /// frame of this size.
     ///
     /// # Errors
     /// When the face is outside of the frame.
-    pub fn upright_box(&self, (width, height): (usize, usize)) -> Result<FaceBox, FaceError> {
+    pub fn upright_box(&self, frame: Size) -> Result<FaceBox, FaceError> {
         let middle = self.middle();
         let side = upright_side(self);
         let range = |start: f64, size: usize| {
@@ -40,9 +40,9 @@ impl FacePoints {
             (from, to - from)
         };
         let ((left, across), (top, down)) =
-            (range(middle[0] - side / 2.0, width), range(middle[1] - EYES_Y * side, height));
+            (range(middle[0] - side / 2.0, frame.width), range(middle[1] - EYES_Y * side, frame.height));
         if across == 0 || down == 0 {
-            return Err(FaceError::FarOutside { eye: middle, width, height });
+            return Err(FaceError::FarOutside { eye: middle, frame });
         }
         Ok(FaceBox { left, top, width: across, height: down })
     }

@@ -1,6 +1,6 @@
 //! The part of a frame that a network sees.
 
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 
 /// A rectangle of a frame, rotated; in pixels. As in MediaPipe, pixel 0 is at coordinate 0, and sizes are those of the area between the
 /// outer coordinates.
@@ -79,7 +79,7 @@ impl Region {
 
 fn pixel(frame: &Image, x: i64, y: i64, beyond: Beyond) -> [u8; 3] {
     let inside = |at: i64, size: usize| (0..size as i64).contains(&at);
-    let (width, height) = frame.size();
+    let Size { width, height } = frame.size();
     match beyond {
         Beyond::Black if !inside(x, width) || !inside(y, height) => [0; 3],
         _ => frame.get(x.clamp(0, width as i64 - 1) as usize, y.clamp(0, height as i64 - 1) as usize),

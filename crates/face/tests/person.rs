@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 use srflow_face::PersonMask;
 use srflow_ops::golden::Golden;
 
@@ -42,7 +42,7 @@ fn the_mask_of_a_person_is_that_of_mediapipe() {
     };
     let person = PersonMask::read(&models).unwrap();
     let mask = person.mask(&drawn_person()).unwrap();
-    assert_eq!(mask.size(), (200, 150));
+    assert_eq!(mask.size(), Size::new(200, 150));
     let golden = Golden::read("tests/golden/person_mask.safetensors");
     assert_eq!(golden.shape("mask"), [38, 50]);
     let pixels = (0..38).flat_map(|y| (0..50).map(move |x| (4 * x, 4 * y)));
@@ -53,7 +53,7 @@ fn the_mask_of_a_person_is_that_of_mediapipe() {
     let mean = differences.iter().sum::<f32>() / differences.len() as f32;
     let largest = differences.iter().copied().fold(0.0, f32::max);
     assert!(mean < 1e-5 && largest < 1e-3, "mean {mean}, largest {largest}");
-    assert_eq!(person.mask(&Image::new(0, 7)).unwrap().size(), (0, 7));
+    assert_eq!(person.mask(&Image::new(0, 7)).unwrap().size(), Size::new(0, 7));
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::codec::{detect_and_decode, npy};
 use crate::image_file::{grey16_of, image_of, image_size_of, labels_of, mask_of};
 use crate::{Array, FileError, FileProblem};
-use srflow_core::{FlowField, Image, Labels, Mask, Plane};
+use srflow_core::{FlowField, Image, Labels, Mask, Plane, Size};
 
 /// The content of a file that is in memory, such as a member of an archive. It is decoded as the function `read_*` for files does.
 #[derive(Debug, Clone, Copy)]
@@ -29,7 +29,7 @@ impl FileBytes<'_> {
     ///
     /// # Errors
     /// When it has another format, or its header is corrupt.
-    pub fn image_size(self) -> Result<(usize, usize), FileError> {
+    pub fn image_size(self) -> Result<Size, FileError> {
         self.named(image_size_of(&mut Cursor::new(self.bytes)))
     }
 

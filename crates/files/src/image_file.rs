@@ -11,7 +11,7 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use crate::codec::{JpegOutline, MAX_PIXELS, PngOutline, check_size, read_all, read_with, truncated};
 use crate::orientation::{orientation_of, swaps_sides};
 use crate::{FileError, FileKind, FileProblem, write_atomically};
-use srflow_core::{Image, Labels, Mask, Plane};
+use srflow_core::{Image, Labels, Mask, Plane, Size};
 
 /// File extensions of [`read_image`], in lower case.
 pub const IMAGE_EXTENSIONS: [&str; 12] =
@@ -47,24 +47,25 @@ pub(crate) fn image_of(bytes: &[u8]) -> Result<Image, FileProblem> {
     Ok(Image::from_buffer(width, height, pixels.as_raw().as_chunks().0.to_vec()))
 }
 
-/// Width, height and pixels of a picture with its alpha, as it is stored.
+/// Size and pixels of a picture with its alpha, as it is stored.
 ///
 /// # Errors
 /// As [`read_image`].
-pub fn rgba_of_image(bytes: &[u8]) -> Result<(usize, usize, Vec<[u8; 4]>), FileProblem> {
+pub fn rgba_of_image(bytes: &[u8]) -> Result<(Size, Vec<[u8; 4]>), FileProblem> {
     let pixels = decode(bytes)?.into_rgba8();
-    Ok((pixels.width() as usize, pixels.height() as usize, pixels.as_raw().as_chunks().0.to_vec()))
+    let size = Size::new(pixels.width() as usize, pixels.height() as usize);
+    Ok((size, pixels.as_raw().as_chunks().0.to_vec()))
 }
 
-/// Width and height of an upright image, from the header of its file alone.
+/// Size of an upright image, from the header of its file alone.
 ///
 /// # Errors
 /// When the file cannot be read, has another format, or its header is corrupt.
-pub fn read_image_size(path: &Path) -> Result<(usize, usize), FileError> {
+pub fn read_image_size(path: &Path) -> Result<Size, FileError> {
     read_with(path, FileKind::Image, |reader, _| image_size_of(reader))
 }
 
-pub(crate) fn image_size_of(reader: &mut (impl BufRead + Seek)) -> Result<(usize, usize), FileProblem> {
+pub(crate) fn image_size_of(reader: &mut (impl BufRead + Seek)) -> Result<Size, FileProblem> {
     let mut start = [0; 64];
     let mut len = 0;
     while let read @ 1.. = reader.read(&mut start[len..]).map_err(FileProblem::reading)? {
@@ -76,8 +77,8 @@ pub(crate) fn image_size_of(reader: &mut (impl BufRead + Seek)) -> Result<(usize
     reader.rewind().map_err(FileProblem::reading)?;
     let (width, height) =
         ImageReader::with_format(reader, format).into_dimensions().map_err(|error| broken(format, error))?;
-    let (width, height) = check_size(width.into(), height.into())?;
-    Ok(if swaps_sides(orientation) { (height, width) } else { (width, height) })
+    let size = check_size(width.into(), height.into())?;
+    Ok(if swaps_sides(orientation) { Size::new(size.height, size.width) } else { size })
 }
 
 /// Reads a mask from an image in any format of [`read_image`]: `true` where a pixel's value is over 127.
@@ -234,7 +235,7 @@ pub fn write_labels_png(path: &Path, labels: &Labels) -> Result<(), FileError> {
 
 fn encode_png(
     writer: &mut impl Write,
-    (width, height): (usize, usize),
+    Size { width, height }: Size,
     color: png::ColorType,
     bytes: &[u8],
 ) -> io::Result<()> {

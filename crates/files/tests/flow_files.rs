@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
-use srflow_core::FlowField;
+use srflow_core::{FlowField, Size};
 use srflow_files::{
     FileBytes, FlowFormat, NpzArray, encode_flow, encode_flow_half, read_flow, read_flow_as,
     read_npy_channels_first, write_flow, write_flow_as, write_npy, write_npz,
@@ -192,7 +192,7 @@ fn golden() -> FlowField {
 #[test]
 fn files_of_other_programs_hold_the_same_flow() {
     let golden = golden();
-    assert_eq!(golden.size(), (13, 9));
+    assert_eq!(golden.size(), Size::new(13, 9));
     let unknown: Vec<usize> =
         (0..golden.pixels().len()).filter(|i| golden.pixels()[*i][0].is_nan()).collect();
     assert_eq!(unknown, [2 * 13 + 5, 8 * 13 + 12]);
@@ -239,7 +239,7 @@ fn the_real_kitti_truth_has_its_known_statistics() {
         known.iter().map(|pixel| f64::from(pixel[channel])).sum::<f64>() / known.len() as f64
     };
     // numpy: rgb = cv2.imread(path, -1)[..., ::-1]; ((rgb[..., :2][rgb[..., 2] > 0] - 32768.0) / 64).mean(0)
-    assert_eq!((flow.size(), known.len()), ((1242, 375), 75_453));
+    assert_eq!((flow.size(), known.len()), (Size::new(1242, 375), 75_453));
     assert!(
         (mean(0) + 29.857_322_811_882_895).abs() < 1e-12 && (mean(1) - 14.984_259_033_769_366).abs() < 1e-12
     );

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
-use srflow_core::{Image, Labels, Mask, Plane};
+use srflow_core::{Image, Labels, Mask, Plane, Size};
 use srflow_files::{
     read_alpha, read_grey16, read_image, read_image_size, read_labels, read_mask, read_npy, read_npy_plane,
     write_image_png, write_labels_png, write_mask_png, write_npy, write_npy_plane,
@@ -33,7 +33,7 @@ fn every_kind_of_image_is_read_as_rgb() {
     let expected = Image::from_fn(10, 7, |x, y| [25 * x as u8, 36 * y as u8, (3 * x * y) as u8]);
     for name in KINDS.iter().filter(|name| !name.ends_with(".jpg") && **name != "image_grey.png") {
         assert_eq!(read_image(&data(name)).unwrap(), expected, "{name}");
-        assert_eq!(read_image_size(&data(name)).unwrap(), (10, 7), "{name}");
+        assert_eq!(read_image_size(&data(name)).unwrap(), Size::new(10, 7), "{name}");
     }
     let grey = Image::from_fn(10, 7, |x, _| [25 * x as u8; 3]);
     assert_eq!(read_image(&data("image_grey.png")).unwrap(), grey);
@@ -115,7 +115,7 @@ fn png_with(exif: &[u8], after: bool, encode: impl FnOnce(&mut Vec<u8>)) -> Vec<
 
 fn png(
     bytes: &mut Vec<u8>,
-    (width, height): (usize, usize),
+    Size { width, height }: Size,
     color: png::ColorType,
     depth: png::BitDepth,
     values: &[u8],
@@ -154,26 +154,27 @@ fn images_and_masks_are_upright_as_their_exif_data_says() {
             let path = folder.path().join(format!("{name}.any"));
             let rgb = |bytes: &mut Vec<u8>| {
                 let values = stored.pixels().as_flattened();
-                png(bytes, (6, 4), png::ColorType::Rgb, png::BitDepth::Eight, values);
+                png(bytes, Size::new(6, 4), png::ColorType::Rgb, png::BitDepth::Eight, values);
             };
             for after in [false, true] {
                 fs::write(&path, png_with(&exif, after, rgb)).unwrap();
                 assert_eq!(read_image(&path).unwrap(), upright, "{orientation} {name}");
-                assert_eq!(read_image_size(&path).unwrap(), (width, height));
+                assert_eq!(read_image_size(&path).unwrap(), upright.size());
                 let mask = Mask::from_fn(width, height, |x, y| upright.get(x, y)[2] > 127);
                 let blue = |bytes: &mut Vec<u8>| {
                     let values: Vec<u8> = stored.pixels().iter().map(|pixel| pixel[2]).collect();
-                    png(bytes, (6, 4), png::ColorType::Grayscale, png::BitDepth::Eight, &values);
+                    png(bytes, Size::new(6, 4), png::ColorType::Grayscale, png::BitDepth::Eight, &values);
                 };
                 fs::write(&path, png_with(&exif, after, blue)).unwrap();
                 assert_eq!(read_mask(&path).unwrap(), mask);
-                assert_eq!(read_labels(&path).unwrap().size(), (6, 4), "labels are read as they are stored");
+                let labels = read_labels(&path).unwrap();
+                assert_eq!(labels.size(), stored.size(), "labels are read as they are stored");
             }
             fs::write(&path, jpeg(&stored)).unwrap();
             let plain = read_image(&path).unwrap();
             fs::write(&path, jpeg_with(&exif, &stored)).unwrap();
             let turned = read_image(&path).unwrap();
-            assert_eq!((turned.size(), read_image_size(&path).unwrap()), ((width, height), (width, height)));
+            assert_eq!((turned.size(), read_image_size(&path).unwrap()), (upright.size(), upright.size()));
             assert_eq!(
                 turned,
                 Image::from_fn(width, height, |x, y| {
@@ -219,7 +220,7 @@ fn masks_of_other_programs_are_read_by_one_rule() {
     let write = |color, depth, values: &dyn Fn(bool) -> Vec<u8>| {
         let values: Vec<u8> = inside.pixels().iter().flat_map(|inside| values(*inside)).collect();
         let mut bytes = Vec::new();
-        png(&mut bytes, (4, 2), color, depth, &values);
+        png(&mut bytes, Size::new(4, 2), color, depth, &values);
         fs::write(&path, bytes).unwrap();
     };
     for value in [1, 38, 100, 255] {

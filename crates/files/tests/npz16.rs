@@ -83,8 +83,7 @@ fn a_file_of_numpys_is_read() {
 
 #[test]
 fn a_head_turning_takes_little() {
-    let (width, height) = (440, 640);
-    let flow = FlowField::from_fn(width, height, |x, y| {
+    let flow = FlowField::from_fn(440, 640, |x, y| {
         let (x, y) = (x as f32 / 220.0 - 1.0, y as f32 / 320.0 - 1.0);
         let inside = 1.0 - x * x - y * y;
         if inside > 0.0 { [12.0 * inside.sqrt() - 3.0 * y, 3.0 * x + (7.0 * y).sin()] } else { [0.0; 2] }
@@ -97,7 +96,7 @@ fn a_head_turning_takes_little() {
     };
     assert!(size(FlowFormat::Npz16) * 8 < size(FlowFormat::Flo));
     assert!(size(FlowFormat::Npz16) * 3 < size(FlowFormat::Npz));
-    assert_eq!(read_flow(&folder.path().join("flow.npz16")).unwrap().size(), (width, height));
+    assert_eq!(read_flow(&folder.path().join("flow.npz16")).unwrap().size(), flow.size());
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use srflow_core::resize::{resize_cubic, resize_flow_area};
-use srflow_core::{FlowEstimator, FlowField, Image, Plane, in_stages, named, serialize_as_text};
+use srflow_core::{FlowEstimator, FlowField, Image, Plane, Size, in_stages, named, serialize_as_text};
 use srflow_data::micro_expression::Clip;
 use srflow_face::FrameCrop;
 use srflow_files::read_image;
@@ -91,8 +91,8 @@ pub fn features_of_frames(
     features_of_flow(flow, settings)
 }
 
-/// Width and height of the feature maps.
-const SIZE: (usize, usize) = (FEATURE_SIDE, FEATURE_SIDE);
+/// Of the feature maps.
+const SIZE: Size = Size::new(FEATURE_SIDE, FEATURE_SIDE);
 
 /// The flow from onset to apex, of any size, as [`features_of_frames`] gives it.
 ///

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use srflow_core::{EstimateError, printable};
+use srflow_core::{EstimateError, Size, printable};
 use srflow_face::FaceError;
 use srflow_files::FileError;
 
@@ -45,13 +45,13 @@ pub enum ExtractProblem {
     /// The flow is not finite.
     #[error(transparent)]
     Features(#[from] FeatureError),
-    #[error("{} is {}x{} and {} {}x{} (WIDTHxHEIGHT): expected frames of one size with at least one pixel", .onset.display(), .onset_size.0, .onset_size.1, .apex.display(), .apex_size.0, .apex_size.1)]
+    #[error("{} is {onset_size} and {} {apex_size} (WIDTHxHEIGHT): expected frames of one size with at least one pixel", .onset.display(), .apex.display())]
     Sizes {
         /// The onset's file.
         onset: PathBuf,
-        onset_size: (usize, usize),
+        onset_size: Size,
         /// The apex's file.
         apex: PathBuf,
-        apex_size: (usize, usize),
+        apex_size: Size,
     },
 }

@@ -8,7 +8,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use srflow_core::excerpt;
+use srflow_core::{Size, excerpt};
 use srflow_data::micro_expression::{Annotation, Clip};
 use srflow_face::{
     AVERAGE_FACE, FaceBox, FaceError, FaceFinder, FacePoints, FrameCrop, LandmarkTable, write_landmarks,
@@ -209,7 +209,7 @@ impl FaceCrop {
         let face = landmarks.of_clip(dataset, annotation)?;
         let crop = FrameCrop::upright(face);
         // An upright crop has a size of its own.
-        let (side, _) = crop.size_in((0, 0));
+        let side = crop.size_in(Size::default()).width;
         let share = |point: [f64; 2]| crop.point(point).map(|at| (at + 0.5) / side as f64);
         Ok(face.dlib.as_deref().map_or(AVERAGE_FACE, |dlib| dlib.map(share)))
     }

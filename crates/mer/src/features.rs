@@ -1,7 +1,7 @@
 //! The input of classifiers: the flow from onset to apex and its optical strain.
 
-use srflow_core::Plane;
 use srflow_core::resize::LinearTap;
+use srflow_core::{Plane, Size};
 
 /// Width and height of the feature maps, in pixels.
 pub const FEATURE_SIDE: usize = 112;
@@ -26,11 +26,11 @@ pub struct Features(Box<[f32]>);
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum FeatureError {
     /// A plane has the wrong size.
-    #[error("feature map {channel:?} is {}x{} (WIDTHxHEIGHT), expected {FEATURE_SIDE}x{FEATURE_SIDE}", .size.0, .size.1)]
+    #[error("feature map {channel:?} is {size} (WIDTHxHEIGHT), expected {FEATURE_SIDE}x{FEATURE_SIDE}")]
     Size {
         channel: Channel,
         /// Its width and height.
-        size: (usize, usize),
+        size: Size,
     },
     /// The number of values is wrong.
     #[error("{found} values, expected 3 x {FEATURE_SIDE} x {FEATURE_SIDE}")]
@@ -50,7 +50,7 @@ impl Features {
     pub fn new(u: &Plane, v: &Plane, strain: &Plane) -> Result<Self, FeatureError> {
         let mut values = Vec::with_capacity(Self::LEN);
         for (channel, plane) in [(Channel::U, u), (Channel::V, v), (Channel::Strain, strain)] {
-            if plane.size() != (FEATURE_SIDE, FEATURE_SIDE) {
+            if plane.size() != Size::new(FEATURE_SIDE, FEATURE_SIDE) {
                 return Err(FeatureError::Size { channel, size: plane.size() });
             }
             values.extend_from_slice(plane.pixels());

@@ -1,7 +1,7 @@
 //! The motion of the head between two frames, which is taken out of the flow.
 
 use serde::{Deserialize, Serialize};
-use srflow_core::{FlowField, Plane, SurfaceMotion, named, serialize_as_text};
+use srflow_core::{FlowField, Plane, Size, SurfaceMotion, named, serialize_as_text};
 
 use crate::features::FEATURE_SIDE;
 
@@ -52,7 +52,7 @@ impl HeadMotion {
 }
 
 /// Where the face is in a crop of this size: 1 in an ellipse, 0 outside.
-pub(crate) fn face((width, height): (usize, usize)) -> Plane {
+pub(crate) fn face(Size { width, height }: Size) -> Plane {
     let along =
         |at: usize, side: usize, middle: f32, half: f32| ((at as f32 + 0.5) / side as f32 - middle) / half;
     Plane::from_fn(width, height, |x, y| {
@@ -77,7 +77,7 @@ pub struct SubtractedMotion {
 
 impl SubtractedMotion {
     /// Of a motion in frames of this size.
-    fn of(motion: &SurfaceMotion, (width, height): (usize, usize)) -> Self {
+    fn of(motion: &SurfaceMotion, Size { width, height }: Size) -> Self {
         let [per_column, per_row] = [width, height].map(|side| FEATURE_SIDE as f64 / side.max(1) as f64);
         let [x, y] = motion.translation_px();
         Self {

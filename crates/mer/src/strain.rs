@@ -1,6 +1,6 @@
 //! Optical strain: how much the flow stretches and shears the skin.
 
-use srflow_core::{FlowField, Image, Plane, named, serialize_as_text};
+use srflow_core::{FlowField, Image, Plane, Size, named, serialize_as_text};
 
 /// How strain is computed from the flow's derivatives `ux`, `uy`, `vx`, `vy`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -20,7 +20,7 @@ serialize_as_text!(StrainFormula);
 /// Optical strain of a flow, in its size. Derivatives are those of OpenCV's 3x3 `Sobel`, with borders mirrored without repeating
 /// the outermost pixel (`BORDER_REFLECT_101`).
 pub fn optical_strain(flow: &FlowField, formula: StrainFormula) -> Plane {
-    let (width, height) = flow.size();
+    let Size { width, height } = flow.size();
     Plane::from_fn(width, height, |x, y| {
         let [[ux, uy], [vx, vy]] = sobel(flow, x, y);
         match formula {

@@ -3,8 +3,8 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use srflow_core::{
-    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Plane, check_frame_sizes,
-    forward_interpolate,
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Plane, Size,
+    check_frame_sizes, forward_interpolate,
 };
 
 use srflow_ops::{Precision, with_precision};
@@ -42,7 +42,7 @@ impl NetworkEstimator {
         self.network.architecture().facts()
     }
 
-    fn canvas(&self, size: (usize, usize)) -> Canvas {
+    fn canvas(&self, size: Size) -> Canvas {
         Canvas::new(size, self.facts().smallest_side)
     }
 
@@ -53,7 +53,7 @@ impl NetworkEstimator {
     }
 
     /// The multiple to which the sides of an extended frame are padded.
-    fn padding(&self, Canvas { extended: (width, height), .. }: Canvas) -> usize {
+    fn padding(&self, Canvas { extended: Size { width, height }, .. }: Canvas) -> usize {
         self.network.padding().of([height, width])
     }
 
@@ -72,7 +72,7 @@ impl NetworkEstimator {
 
     /// Frames of one size as a tensor `[frames, 3, height, width]` in 0..1.
     fn tensor(&self, frames: &[&Image]) -> Tensor<4> {
-        let (width, height) = frames[0].size();
+        let Size { width, height } = frames[0].size();
         let pixels = width * height;
         let mut numbers = vec![0.0_f32; frames.len() * 3 * pixels];
         for (frame, channels) in frames.iter().zip(numbers.chunks_mut(3 * pixels.max(1))) {
@@ -127,7 +127,7 @@ impl NetworkEstimator {
         let field = |pair: usize| {
             let [u, v] = [planes[2 * pair], planes[2 * pair + 1]];
             let (left, top) = canvas.corner;
-            FlowField::from_fn(canvas.size.0, canvas.size.1, |x, y| {
+            FlowField::from_fn(canvas.size.width, canvas.size.height, |x, y| {
                 let at = (top + y) * width + left + x;
                 [u[at], v[at]]
             })
@@ -159,9 +159,9 @@ impl NetworkEstimator {
         let Some(tensor) = tensor else { return Ok(Vec::new()) };
         let [_, _, height, width] = tensor.dims();
         let numbers = self.numbers(tensor)?;
-        let (left, top) = canvas.corner;
+        let Canvas { size, corner: (left, top), .. } = canvas;
         let plane = |numbers: &[f32]| {
-            Plane::from_fn(canvas.size.0, canvas.size.1, |x, y| numbers[(top + y) * width + left + x])
+            Plane::from_fn(size.width, size.height, |x, y| numbers[(top + y) * width + left + x])
         };
         Ok(numbers.chunks(width * height).map(plane).collect())
     }
@@ -181,9 +181,10 @@ impl NetworkEstimator {
     fn coarse(&self, flow: &FlowField, canvas: Canvas) -> Result<Tensor<4>, EstimateError> {
         let padding = self.padding(canvas);
         let stride = self.start_stride(padding)?;
-        let padded = [canvas.extended.0, canvas.extended.1].map(|side| side.next_multiple_of(padding));
+        let Canvas { size, extended, corner } = canvas;
+        let padded = [extended.width, extended.height].map(|side| side.next_multiple_of(padding));
         let [width, height] = padded.map(|side| side / stride);
-        let border = [padded[0] - canvas.extended.0, padded[1] - canvas.extended.1];
+        let border = [padded[0] - extended.width, padded[1] - extended.height];
         let from = |padded: usize, border: usize, corner: usize, side: usize| {
             (padded.saturating_sub(border / 2).saturating_sub(corner)).min(side - 1)
         };
@@ -194,8 +195,8 @@ impl NetworkEstimator {
             let (mut sum, mut count) = ([0.0_f32; 2], 0);
             for y in row * stride..(row + 1) * stride {
                 for x in column * stride..(column + 1) * stride {
-                    let x = from(x, border[0], canvas.corner.0, canvas.size.0);
-                    let y = from(y, border[1], canvas.corner.1, canvas.size.1);
+                    let x = from(x, border[0], corner.0, size.width);
+                    let y = from(y, border[1], corner.1, size.height);
                     if flow.is_known(x, y) {
                         let vector = flow.get(x, y);
                         sum = [sum[0] + vector[0], sum[1] + vector[1]];
@@ -266,7 +267,7 @@ impl NetworkEstimator {
         let canvas = self.canvas(first.size());
         check_frame_sizes(canvas.size, pairs.as_flattened().iter().map(|frame| frame.size()))?;
         if canvas.is_empty() {
-            return Ok(vec![FlowField::new(canvas.size.0, canvas.size.1).into(); pairs.len()]);
+            return Ok(vec![FlowField::new(canvas.size.width, canvas.size.height).into(); pairs.len()]);
         }
         if pairs.len() > 1 && self.still_px().is_some() {
             return pairs.iter().map(|pair| Ok(self.between(&[*pair], None)?.remove(0))).collect();
@@ -331,7 +332,7 @@ impl FlowSequence for NetworkSequence<'_> {
         }
         match self.push(std::slice::from_ref(second))?.pop() {
             Some(estimate) => Ok(estimate),
-            None => Ok(FlowField::new(size.0, size.1).into()), // frames without pixels
+            None => Ok(FlowField::new(size.width, size.height).into()), // frames without pixels
         }
     }
 }
@@ -366,19 +367,20 @@ impl NetworkSequence<'_> {
 /// Position of a frame in its padding to the smallest side.
 #[derive(Debug, Clone, Copy)]
 struct Canvas {
-    size: (usize, usize),
-    extended: (usize, usize),
+    size: Size,
+    extended: Size,
     corner: (usize, usize),
 }
 
 impl Canvas {
-    fn new(size: (usize, usize), smallest_side: usize) -> Self {
-        let extended = (size.0.max(smallest_side), size.1.max(smallest_side));
-        Self { size, extended, corner: ((extended.0 - size.0) / 2, (extended.1 - size.1) / 2) }
+    fn new(size: Size, smallest_side: usize) -> Self {
+        let extended = Size::new(size.width.max(smallest_side), size.height.max(smallest_side));
+        let corner = ((extended.width - size.width) / 2, (extended.height - size.height) / 2);
+        Self { size, extended, corner }
     }
 
     fn is_empty(&self) -> bool {
-        self.size.0 == 0 || self.size.1 == 0
+        self.size.pixels() == 0
     }
 
     fn extended(&self, frame: &Image) -> Image {
@@ -386,8 +388,8 @@ impl Canvas {
             return frame.clone();
         }
         let inside = |place: usize, corner: usize, side: usize| place.saturating_sub(corner).min(side - 1);
-        Image::from_fn(self.extended.0, self.extended.1, |x, y| {
-            frame.get(inside(x, self.corner.0, self.size.0), inside(y, self.corner.1, self.size.1))
+        Image::from_fn(self.extended.width, self.extended.height, |x, y| {
+            frame.get(inside(x, self.corner.0, self.size.width), inside(y, self.corner.1, self.size.height))
         })
     }
 }

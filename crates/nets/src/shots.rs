@@ -1,6 +1,6 @@
 //! Detects cuts between the shots of a video.
 
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 
 /// Cells along each side of a frame.
 const CELLS: usize = 4;
@@ -22,7 +22,7 @@ type Histogram = [u32; 256];
 
 /// Histograms of each cell and channel.
 fn histograms(frame: &Image) -> Vec<[Histogram; 3]> {
-    let (width, height) = frame.size();
+    let Size { width, height } = frame.size();
     let mut cells = vec![[[0; 256]; 3]; CELLS * CELLS];
     for (y, row) in frame.pixels().chunks_exact(width.max(1)).enumerate() {
         let first = y * CELLS / height * CELLS;
@@ -63,30 +63,30 @@ mod tests {
 
     #[test]
     fn only_another_scene_is_a_cut() {
-        let size = (320, 200);
+        let (width, height) = (320, 200);
         let frame = |seed, shift: (usize, usize), brighter| {
             let color = textured(seed, brighter);
-            Image::from_fn(size.0, size.1, |x, y| color(x + shift.0, y + shift.1))
+            Image::from_fn(width, height, |x, y| color(x + shift.0, y + shift.1))
         };
         let first = frame(0, (0, 0), 0);
         for (shift, brighter) in [((0, 0), 0), ((1, 0), 0), ((16, 8), 0), ((0, 0), 20)] {
             let second = frame(0, shift, brighter);
             assert!(!is_cut(&first, &second), "{shift:?}, {brighter} brighter");
         }
-        let mirrored = Image::from_fn(size.0, size.1, |x, y| first.get(size.0 - 1 - x, y));
-        let negative = Image::from_fn(size.0, size.1, |x, y| first.get(x, y).map(|level| 255 - level));
-        for second in [frame(1, (0, 0), 0), mirrored, negative, Image::new(size.0, size.1)] {
+        let mirrored = Image::from_fn(width, height, |x, y| first.get(width - 1 - x, y));
+        let negative = Image::from_fn(width, height, |x, y| first.get(x, y).map(|level| 255 - level));
+        for second in [frame(1, (0, 0), 0), mirrored, negative, Image::new(width, height)] {
             assert!(is_cut(&first, &second));
         }
     }
 
     #[test]
     fn frames_of_any_size_can_be_compared() {
-        for size in [(0, 0), (1, 1), (3, 2), (5, 1)] {
-            let black = Image::new(size.0, size.1);
-            let white = Image::from_fn(size.0, size.1, |_, _| [255; 3]);
-            assert!(!is_cut(&black, &black), "{size:?}");
-            assert_eq!(is_cut(&black, &white), size != (0, 0), "{size:?}");
+        for (width, height) in [(0, 0), (1, 1), (3, 2), (5, 1)] {
+            let black = Image::new(width, height);
+            let white = Image::filled(width, height, [255; 3]);
+            assert!(!is_cut(&black, &black), "{width}x{height}");
+            assert_eq!(is_cut(&black, &white), width > 0, "{width}x{height}");
         }
     }
 }

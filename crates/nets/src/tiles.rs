@@ -4,7 +4,7 @@
 //! that leaves the tile by more than the overlap, attention in GMA and its relatives, and the statistics of instance norm.
 //! Overlapping tiles are blended with weights that fall smoothly towards their edges.
 
-use srflow_core::{EstimateError, FlowEstimate, FlowField, Image, Plane};
+use srflow_core::{EstimateError, FlowEstimate, FlowField, Image, Plane, Size};
 
 use crate::Padding;
 use crate::memory_need::MemoryNeed;
@@ -28,8 +28,8 @@ pub struct Tiling {
 /// Size of tiles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TileSize {
-    /// Width and height in pixels, at most those of the frame.
-    Fixed(usize, usize),
+    /// At most the size of the frame.
+    Fixed(Size),
     /// The fewest equal and roughly square tiles that fit in this much memory.
     Fitting { need: MemoryNeed, bytes: u64 },
 }
@@ -37,21 +37,21 @@ pub enum TileSize {
 /// The tiles of a frame, all of one size.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Tiles {
-    frame: (usize, usize),
+    frame: Size,
     across: Vec<usize>,
     down: Vec<usize>,
-    size: (usize, usize),
+    size: Size,
 }
 
 /// Not even the smallest tile fits in memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{} MB of memory are free, but the smallest tile of {}x{} pixels takes {} MB: free some memory, or scale the frames down",
-    .free / 1_000_000, .smallest.0, .smallest.1, .needed.div_ceil(1_000_000)
+    "{} MB of memory are free, but the smallest tile of {smallest} pixels takes {} MB: free some memory, or scale the frames down",
+    .free / 1_000_000, .needed.div_ceil(1_000_000)
 )]
 pub struct NothingFits {
-    /// Width and height of the smallest tile.
-    pub smallest: (usize, usize),
+    /// Size of the smallest tile.
+    pub smallest: Size,
     /// Bytes that it needs.
     pub needed: u64,
     /// Bytes that are free.
@@ -62,66 +62,67 @@ impl Tiles {
     /// Smallest side of tiles of [`TileSize::Fitting`].
     const SMALLEST_SIDE: usize = 256;
 
-    /// Distributes tiles evenly over a frame of `(width, height)`. The overlap is at most half the side of a tile.
+    /// Distributes tiles evenly over a frame. The overlap is at most half the side of a tile.
     ///
     /// # Errors
     /// When no tile fits in memory.
-    pub fn new(frame: (usize, usize), tiling: Tiling) -> Result<Self, NothingFits> {
+    pub fn new(frame: Size, tiling: Tiling) -> Result<Self, NothingFits> {
         let Tiling { size, overlap, .. } = tiling;
-        let alignment = tiling.alignment.of([frame.1, frame.0]);
-        let (width, height) = match size {
-            TileSize::Fixed(width, height) => (width, height),
+        let alignment = tiling.alignment.of([frame.height, frame.width]);
+        let Size { width, height } = match size {
+            TileSize::Fixed(size) => size,
             TileSize::Fitting { need, bytes } => Self::fitting(frame, [overlap, alignment], need, bytes)?,
         };
         let side = |side: usize, frame: usize| side.max(2 * alignment).min(frame);
-        let size = (side(width, frame.0), side(height, frame.1));
+        let size = Size::new(side(width, frame.width), side(height, frame.height));
         Ok(Self {
             frame,
-            across: starts(frame.0, size.0, overlap, alignment),
-            down: starts(frame.1, size.1, overlap, alignment),
+            across: starts(frame.width, size.width, overlap, alignment),
+            down: starts(frame.height, size.height, overlap, alignment),
             size,
         })
     }
 
     /// Tile size for one tile, then two, and so on, until it fits; for each count, from the grid with the smallest tiles.
     fn fitting(
-        frame: (usize, usize),
+        frame: Size,
         [overlap, alignment]: [usize; 2],
         need: MemoryNeed,
         bytes: u64,
-    ) -> Result<(usize, usize), NothingFits> {
+    ) -> Result<Size, NothingFits> {
         let side = |length: usize, count: usize| match count {
             1 => length,
             _ => (length + (count - 1) * overlap).div_ceil(count).next_multiple_of(alignment),
         };
         let large_enough = |side: usize, length: usize| side >= Self::SMALLEST_SIDE.min(length);
-        let most = [frame.0, frame.1].map(|length| length.div_ceil(Self::SMALLEST_SIDE / 2).max(1));
+        let most = [frame.width, frame.height].map(|length| length.div_ceil(Self::SMALLEST_SIDE / 2).max(1));
         for count in 1..=most[0] * most[1] {
             let grids = (1..=count).filter(|across| count.is_multiple_of(*across));
             let sizes = grids.filter_map(|across| {
                 let down = count / across;
-                let (width, height) = (side(frame.0, across), side(frame.1, down));
+                let size = Size::new(side(frame.width, across), side(frame.height, down));
+                let Size { width, height } = size;
                 let square = (width <= 2 * height || down == 1) && (height <= 2 * width || across == 1);
-                let fair = large_enough(width, frame.0) && large_enough(height, frame.1);
-                (square && fair).then_some((width, height))
+                let fair = large_enough(width, frame.width) && large_enough(height, frame.height);
+                (square && fair).then_some(size)
             });
-            if let Some((width, height)) = sizes.min_by_key(|(width, height)| width * height)
-                && need.bytes(width * height) <= bytes
+            if let Some(size) = sizes.min_by_key(|size| size.pixels())
+                && need.bytes(size.pixels()) <= bytes
             {
-                return Ok((width, height));
+                return Ok(size);
             }
         }
-        let smallest = (frame.0.min(Self::SMALLEST_SIDE), frame.1.min(Self::SMALLEST_SIDE));
-        Err(NothingFits { smallest, needed: need.bytes(smallest.0 * smallest.1), free: bytes })
+        let smallest = Size::new(frame.width.min(Self::SMALLEST_SIDE), frame.height.min(Self::SMALLEST_SIDE));
+        Err(NothingFits { smallest, needed: need.bytes(smallest.pixels()), free: bytes })
     }
 
     /// A whole frame as one tile.
-    pub(crate) fn whole(frame: (usize, usize)) -> Self {
+    pub(crate) fn whole(frame: Size) -> Self {
         Self { frame, across: vec![0], down: vec![0], size: frame }
     }
 
-    /// Width and height of the frame.
-    pub(crate) fn frame(&self) -> (usize, usize) {
+    /// Size of the frame.
+    pub(crate) fn frame(&self) -> Size {
         self.frame
     }
 
@@ -129,8 +130,8 @@ impl Tiles {
         self.across.len() * self.down.len()
     }
 
-    /// Width and height of each tile.
-    pub fn size(&self) -> (usize, usize) {
+    /// Size of each tile.
+    pub fn size(&self) -> Size {
         self.size
     }
 
@@ -141,7 +142,7 @@ impl Tiles {
 
     /// The tile of a frame at this corner.
     pub(crate) fn cut(&self, frame: &Image, (left, top): (usize, usize)) -> Image {
-        frame.crop(left, top, self.size.0, self.size.1)
+        frame.crop(left, top, self.size.width, self.size.height)
     }
 
     /// Blends the results of `estimate` for each tile, called with its number and its left and top.
@@ -206,7 +207,7 @@ struct Blend<'a> {
 impl<'a> Blend<'a> {
     /// A blend of estimates with the same planes as `of`.
     fn new(tiles: &'a Tiles, of: &FlowEstimate) -> Self {
-        let (width, height) = tiles.frame;
+        let Size { width, height } = tiles.frame;
         let blank = |plane: &Option<Plane>| plane.as_ref().map(|_| Plane::new(width, height));
         let sums = FlowEstimate {
             flow: FlowField::new(width, height),
@@ -221,13 +222,13 @@ impl<'a> Blend<'a> {
     fn add(&mut self, number: usize, estimate: &FlowEstimate) {
         let (across, down) = (&self.tiles.across, &self.tiles.down);
         let (column, row) = (number % across.len(), number / across.len());
-        let (width, height) = self.tiles.size;
+        let Size { width, height } = self.tiles.size;
         if let (Some(sum), Some(iterations)) = (&mut self.sums.iterations, estimate.iterations) {
             *sum += iterations;
         }
         let (along, below) = (weights(across, column, width), weights(down, row, height));
         for (y, below) in below.iter().enumerate() {
-            let start = (down[row] + y) * self.tiles.frame.0 + across[column];
+            let start = (down[row] + y) * self.tiles.frame.width + across[column];
             let whole = start..start + width;
             let weights: Vec<f32> = along.iter().map(|along| along * below).collect();
             for (total, weight) in self.weights[whole.clone()].iter_mut().zip(&weights) {
@@ -270,12 +271,12 @@ mod tests {
     use super::*;
 
     fn tiling(width: usize, height: usize, overlap: usize) -> Tiling {
-        Tiling { size: TileSize::Fixed(width, height), overlap, alignment: Padding::Fixed(8) }
+        Tiling { size: TileSize::Fixed(Size { width, height }), overlap, alignment: Padding::Fixed(8) }
     }
 
     #[test]
     fn uncertainty_is_blended_like_the_flow() {
-        let tiles = Tiles::new((100, 90), tiling(48, 40, 16)).expect("tiles");
+        let tiles = Tiles::new(Size::new(100, 90), tiling(48, 40, 16)).expect("tiles");
         assert!(tiles.count() > 1);
         let across = || Plane::from_fn(100, 90, |x, _| x as f32);
         let whole = FlowEstimate {
@@ -285,7 +286,7 @@ mod tests {
             iterations: None,
         };
         let blended = tiles.blended(|_, (left, top)| {
-            let (width, height) = tiles.size();
+            let Size { width, height } = tiles.size();
             let cut = |plane: &Plane| plane.crop(left, top, width, height);
             let flow = whole.flow.crop(left, top, width, height);
             let uncertainty = whole.uncertainty.as_ref().map(cut);
@@ -318,14 +319,14 @@ mod tests {
         let need = MemoryNeed { fixed: 100_000_000, per_pixel: 600, attending: 0, most_weights: 0 };
         let tiles = |bytes| {
             let size = TileSize::Fitting { need, bytes };
-            Tiles::new((3840, 2160), Tiling { size, overlap: 128, alignment: Padding::Fixed(8) })
+            Tiles::new(Size::new(3840, 2160), Tiling { size, overlap: 128, alignment: Padding::Fixed(8) })
         };
         assert_eq!(tiles(6_000_000_000).expect("fits whole").count(), 1);
         let mut last = 1;
         for bytes in [3_000_000_000, 1_500_000_000, 800_000_000, 400_000_000] {
             let tiles = tiles(bytes).expect("fits in tiles");
-            let (width, height) = tiles.size();
-            assert!(need.bytes(width * height) <= bytes, "{width}x{height} in {bytes}");
+            let size @ Size { width, height } = tiles.size();
+            assert!(need.bytes(size.pixels()) <= bytes, "{size} in {bytes}");
             assert!(tiles.count() > last && width < 2 * height && height < 2 * width, "{tiles:?}");
             last = tiles.count();
         }

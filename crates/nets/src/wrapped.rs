@@ -3,7 +3,7 @@
 use srflow_classical::TvL1;
 use srflow_core::resize::{resize_flow_antialiased, resize_image_antialiased, resize_plane_antialiased};
 use srflow_core::{
-    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, check_frame_sizes,
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Size, check_frame_sizes,
 };
 
 use crate::tiles::{Tiles, Tiling};
@@ -17,10 +17,10 @@ pub struct Wrapped {
     refinement: Option<TvL1>,
 }
 
-/// Width and height of a frame whose sides are scaled by `factor`: rounded, at least 1.
-pub fn scaled_size((width, height): (usize, usize), factor: f64) -> (usize, usize) {
+/// Size of a frame whose sides are scaled by `factor`: rounded, at least 1.
+pub fn scaled_size(Size { width, height }: Size, factor: f64) -> Size {
     let side = |side: usize| ((side as f64 * factor).round() as usize).max(1);
-    (side(width), side(height))
+    Size::new(side(width), side(height))
 }
 
 impl Wrapped {
@@ -64,7 +64,7 @@ impl Wrapped {
     }
 
     /// What the estimator sees of frames of `size`; `None` if it sees the frames themselves.
-    fn view(&self, size: (usize, usize)) -> Result<Option<View>, EstimateError> {
+    fn view(&self, size: Size) -> Result<Option<View>, EstimateError> {
         if self.scale.is_none() && self.tiling.is_none() {
             return Ok(None);
         }
@@ -91,7 +91,7 @@ impl Wrapped {
 
 /// What an estimator sees of frames of one size.
 struct View {
-    size: (usize, usize),
+    size: Size,
     /// Of the scaled frames.
     tiles: Tiles,
 }
@@ -224,7 +224,7 @@ impl FlowSequence for WrappedSequence<'_> {
 
 impl<'a> WrappedSequence<'a> {
     /// What the sequence keeps; frames of `size` begin it.
-    fn state(&mut self, size: (usize, usize)) -> Result<&mut State<'a>, EstimateError> {
+    fn state(&mut self, size: Size) -> Result<&mut State<'a>, EstimateError> {
         let state = match self.state.take() {
             Some(state) => state,
             None => {
@@ -241,13 +241,13 @@ impl<'a> WrappedSequence<'a> {
 
 /// Resizes an estimate. The uncertainty, which is common to both components of the flow, is scaled by the geometric mean of the
 /// two factors.
-fn resized(estimate: FlowEstimate, size: (usize, usize)) -> FlowEstimate {
+fn resized(estimate: FlowEstimate, size: Size) -> FlowEstimate {
     let from = estimate.flow.size();
     if from == size {
         return estimate;
     }
     let grow = |to: usize, from: usize| to as f32 / from.max(1) as f32;
-    let gain = (grow(size.0, from.0) * grow(size.1, from.1)).sqrt();
+    let gain = (grow(size.width, from.width) * grow(size.height, from.height)).sqrt();
     FlowEstimate {
         flow: resize_flow_antialiased(&estimate.flow, size),
         uncertainty: estimate.uncertainty.map(|plane| resize_plane_antialiased(&plane, size, gain)),
@@ -265,13 +265,8 @@ mod tests {
     use super::*;
     use crate::{Padding, TileSize};
 
-    fn tiled(
-        estimator: impl FlowEstimator + 'static,
-        width: usize,
-        height: usize,
-        overlap: usize,
-    ) -> Wrapped {
-        let tiling = Tiling { size: TileSize::Fixed(width, height), overlap, alignment: Padding::Fixed(8) };
+    fn tiled(estimator: impl FlowEstimator + 'static, tile: Size, overlap: usize) -> Wrapped {
+        let tiling = Tiling { size: TileSize::Fixed(tile), overlap, alignment: Padding::Fixed(8) };
         Wrapped::new(Box::new(estimator)).tiled(tiling)
     }
 
@@ -284,7 +279,7 @@ mod tests {
         }
 
         fn estimate(&self, frame1: &Image, _: &Image) -> Result<FlowField, EstimateError> {
-            let (width, height) = frame1.size();
+            let Size { width, height } = frame1.size();
             Ok(FlowField::filled(width, height, [width as f32 / 100.0, height as f32 / 100.0]))
         }
     }
@@ -297,21 +292,22 @@ mod tests {
             occlusion: Some(Plane::filled(50, 31, 0.25)),
             iterations: Some(2.5),
         };
-        let FlowEstimate { flow, uncertainty, occlusion, iterations } = resized(estimate.clone(), (100, 62));
+        let FlowEstimate { flow, uncertainty, occlusion, iterations } =
+            resized(estimate.clone(), Size::new(100, 62));
         let near = |plane: Option<Plane>, expected: f32| {
             let plane = plane.expect("kept");
-            assert_eq!(plane.size(), (100, 62));
+            assert_eq!(plane.size(), Size::new(100, 62));
             assert!(
                 plane.pixels().iter().all(|value| (value - expected).abs() < 1e-5),
                 "{}",
                 plane.get(0, 0)
             );
         };
-        assert_eq!(flow.size(), (100, 62));
+        assert_eq!(flow.size(), Size::new(100, 62));
         near(uncertainty, 6.0);
         near(occlusion, 0.25);
         assert_eq!(iterations, Some(2.5));
-        assert_eq!(resized(estimate.clone(), (50, 31)), estimate);
+        assert_eq!(resized(estimate.clone(), Size::new(50, 31)), estimate);
     }
 
     #[test]
@@ -319,11 +315,11 @@ mod tests {
         let frame = Image::new(100, 61);
         for (factor, seen) in [(0.5, (50, 31)), (2.0, (200, 122)), (1.0, (100, 61)), (0.02, (2, 1))] {
             let scaled = Wrapped::new(Box::new(Sizes)).scaled(factor).expect("a factor in range");
-            assert_eq!(scaled_size(frame.size(), factor), seen);
+            assert_eq!(scaled_size(frame.size(), factor), Size::new(seen.0, seen.1));
             let flow = scaled.estimate(&frame, &frame).expect("flow");
             let moving = scaled.sequence(false).push(&[frame.clone(), frame.clone()]).expect("flow");
             for flow in [&flow, &moving[0].flow] {
-                assert_eq!(flow.size(), (100, 61));
+                assert_eq!(flow.size(), Size::new(100, 61));
                 // The size of the scaled frame times the inverse factor is the size of the frame.
                 let near = |[u, v]: [f32; 2]| (u - 1.0).abs() < 1e-4 && (v - 0.61).abs() < 1e-4;
                 assert!(flow.pixels().iter().all(|vector| near(*vector)), "{factor}: {:?}", flow.get(0, 0));
@@ -386,7 +382,7 @@ mod tests {
         {
             let frame = places(size.0, size.1);
             let whole = Places.estimate(&frame, &frame).expect("flow");
-            let tiled = tiled(Places, tile.0, tile.1, overlap);
+            let tiled = tiled(Places, Size::new(tile.0, tile.1), overlap);
             let found = tiled.estimate(&frame, &frame).expect("flow");
             let mut sequence = tiled.sequence(false);
             assert_eq!(sequence.push(std::slice::from_ref(&frame)).expect("none before it"), []);
@@ -403,7 +399,7 @@ mod tests {
     #[test]
     fn inconsistent_tiles_are_blended_smoothly() {
         let frame = Image::new(200, 20);
-        let tiled = tiled(Counting(0.into()), 80, 80, 20);
+        let tiled = tiled(Counting(0.into()), Size::new(80, 80), 20);
         let flow = tiled.estimate(&frame, &frame).expect("flow");
         let row = flow.row(10);
         assert_eq!((row[0], row[100], row[199]), ([0.0, 0.0], [1.0, 0.0], [2.0, 0.0]));
@@ -415,7 +411,7 @@ mod tests {
 
     #[test]
     fn frames_of_different_sizes_are_an_error() {
-        let tiled = tiled(Places, 16, 16, 4);
+        let tiled = tiled(Places, Size::new(16, 16), 4);
         let (one, other) = (Image::new(40, 30), Image::new(41, 30));
         assert!(matches!(tiled.estimate(&one, &other), Err(EstimateError::SizeMismatch { .. })));
         assert!(matches!(

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use srflow_core::resize::resize_image_antialiased;
-use srflow_core::{Image, flow_colors};
+use srflow_core::{Image, Size, flow_colors};
 use srflow_files::{create_folder, read_flow, read_image, write_image_png};
 
 use crate::error::PackError;
@@ -54,18 +54,18 @@ pub(crate) fn write_pictures(source: &Source, out: &Path) -> Result<Vec<String>,
 }
 
 fn shrunk(image: &Image) -> Image {
-    let (width, height) = image.size();
+    let Size { width, height } = image.size();
     if width <= WIDTH {
         return image.clone();
     }
-    resize_image_antialiased(image, (WIDTH, (height * WIDTH / width).max(1)))
+    resize_image_antialiased(image, Size::new(WIDTH, (height * WIDTH / width).max(1)))
 }
 
 /// The text of the card.
 pub(crate) fn text(packed: &Packed) -> String {
     let mut text = front_matter(packed);
     let total: u64 = packed.tars.iter().map(|tar| tar.pairs).sum();
-    let (width, height) = packed.source.size;
+    let size = packed.source.size;
     let faces = packed.source.faces;
     let (title, about) = if faces {
         (
@@ -82,7 +82,7 @@ pub(crate) fn text(packed: &Packed) -> String {
     let _ = writeln!(text, "# {title}\n");
     let _ = writeln!(
         text,
-        "{total} pairs of frames of {width}x{height} (WIDTHxHEIGHT): {about}. Made by `{}` of srflow {}; \
+        "{total} pairs of frames of {size} (WIDTHxHEIGHT): {about}. Made by `{}` of srflow {}; \
          `pack.json` has its arguments, from which the same command makes the same dataset.\n",
         packed.source.command,
         env!("CARGO_PKG_VERSION")

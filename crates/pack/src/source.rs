@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use serde_json::Value;
-use srflow_core::FlowField;
+use srflow_core::{FlowField, Size};
 use srflow_files::{FileKind, FlowFormat, parse_error_in_words, read_file, read_mask, read_text};
 
 use crate::error::{PackError, ReadError};
@@ -24,8 +24,8 @@ pub struct Source {
     pub faces: bool,
     /// Format of the flow, if all files have the same.
     pub flow_format: Option<FlowFormat>,
-    /// Width and height of the frames.
-    pub size: (usize, usize),
+    /// Of the frames.
+    pub size: Size,
     /// A dataset without scenes has one for each split.
     pub scenes: Vec<Scene>,
     /// The pair of a scene, by the index of the scene in `scenes` and its own number.

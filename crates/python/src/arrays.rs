@@ -6,7 +6,7 @@ use numpy::{
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use srflow_core::{FlowField, Image, Mask, Plane};
+use srflow_core::{FlowField, Image, Mask, Plane, Size};
 
 /// An array, an object with `__array__` (a tensor, a Pillow image, lists), or one with `__dlpack__`.
 fn array<'py>(object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyUntypedArray>> {
@@ -161,21 +161,21 @@ pub fn new_array<'py, T: Element>(
 }
 
 pub fn from_image(py: Python<'_>, image: Image) -> PyResult<Bound<'_, PyAny>> {
-    let (width, height) = image.size();
+    let Size { width, height } = image.size();
     new_array(py, image.into_pixels().into_flattened(), &[height, width, 3])
 }
 
 pub fn from_flow(py: Python<'_>, flow: FlowField) -> PyResult<Bound<'_, PyAny>> {
-    let (width, height) = flow.size();
+    let Size { width, height } = flow.size();
     new_array(py, flow.into_pixels().into_flattened(), &[height, width, 2])
 }
 
 pub fn from_plane(py: Python<'_>, plane: Plane) -> PyResult<Bound<'_, PyAny>> {
-    let (width, height) = plane.size();
+    let Size { width, height } = plane.size();
     new_array(py, plane.into_pixels(), &[height, width])
 }
 
 pub fn from_mask(py: Python<'_>, mask: Mask) -> PyResult<Bound<'_, PyAny>> {
-    let (width, height) = mask.size();
+    let Size { width, height } = mask.size();
     new_array(py, mask.into_pixels(), &[height, width])
 }

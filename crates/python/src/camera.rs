@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use glam::{DMat4, DVec3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use srflow_core::Size;
 use srflow_splat::{CameraError, NamedCamera, Surroundings, read_cameras};
 
 use crate::arrays;
@@ -58,7 +59,7 @@ impl Camera {
         cy: Option<f64>,
         camera_from_world: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        let centred = srflow_splat::Camera::centred((width, height), [fx, fy.unwrap_or(fx)]);
+        let centred = srflow_splat::Camera::centred(Size { width, height }, [fx, fy.unwrap_or(fx)]);
         let pose = match camera_from_world {
             None => DMat4::IDENTITY,
             Some(pose) => {
@@ -87,7 +88,7 @@ impl Camera {
         let gaussians = gaussians.inner.clone();
         let seen = compute(py, move || Surroundings::of(&gaussians))?;
         let seen = seen.ok_or_else(|| none_at_all("gaussians"))?;
-        Self::checked(srflow_splat::Camera::facing(seen, (width, height)))
+        Self::checked(srflow_splat::Camera::facing(seen, Size { width, height }))
     }
 
     /// Reads the cameras of a file, in its order: cameras.json of 3D Gaussian Splatting, transforms.json of NeRF and nerfstudio, a
@@ -100,6 +101,7 @@ impl Camera {
         size: "tuple[int, int] | None" = None
     ) -> "list[Camera]")]
     fn read(py: Python<'_>, path: PathBuf, size: Option<(usize, usize)>) -> PyResult<Vec<Self>> {
+        let size = size.map(|(width, height)| Size { width, height });
         let cameras = compute(py, move || read_cameras(&path, size))?.map_err(exception)?;
         let camera = |NamedCamera { name, camera, distortion }| Self { inner: camera, name, distortion };
         Ok(cameras.into_iter().map(camera).collect())
@@ -109,7 +111,7 @@ impl Camera {
     #[pyo3(signature = (width: "int", height: "int") -> "Camera")]
     fn resized(&self, width: usize, height: usize) -> PyResult<Self> {
         let Self { name, distortion, .. } = self;
-        let inner = Self::checked(self.inner.resized((width, height)))?.inner;
+        let inner = Self::checked(self.inner.resized(Size { width, height }))?.inner;
         Ok(Self { inner, name: name.clone(), distortion: distortion.clone() })
     }
 

@@ -59,10 +59,11 @@ pub fn features<'py>(
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let (onset, apex) = (arrays::image(onset, "onset")?, arrays::image(apex, "apex")?);
-    let ((width, height), (other_width, other_height)) = (onset.size(), apex.size());
-    if onset.size() != apex.size() {
+    let sizes = [onset.size(), apex.size()];
+    if sizes[0] != sizes[1] {
         return Err(PyValueError::new_err(format!(
-            "the frames differ in size: the onset is {width}x{height}, the apex {other_width}x{other_height}"
+            "the frames differ in size: the onset is {}, the apex {}",
+            sizes[0], sizes[1]
         )));
     }
     let protocol = named::<RecognitionProtocol>("protocol", protocol)?.features();

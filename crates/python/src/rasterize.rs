@@ -6,7 +6,7 @@ use glam::Vec2;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
-use srflow_core::parse_color;
+use srflow_core::{Size, parse_color};
 use srflow_splat::{
     CameraGradient, Frame, FrameGradients, GaussianGradients, Next, Options, Outputs, PixelConvention,
     RasterizeError, Rasterizer, Sorting,
@@ -157,7 +157,7 @@ const DIFFERENTIABLE: [(&str, usize); 5] =
     [("color", 3), ("alpha", 1), ("depth", 1), ("flow", 2), ("depth_next", 1)];
 
 /// The gradients of an image of this size that `given` has.
-fn gradients_of(given: &Bound<'_, PyDict>, (width, height): (usize, usize)) -> PyResult<FrameGradients> {
+fn gradients_of(given: &Bound<'_, PyDict>, Size { width, height }: Size) -> PyResult<FrameGradients> {
     let known = DIFFERENTIABLE.map(|(name, _)| name);
     for name in given.keys() {
         let name = name.to_string();
@@ -228,7 +228,7 @@ pub fn rasterize_backward<'py>(
     let keywords = Keywords { background, sort_per_pixel, antialiased, pixel_convention };
     let mut view = View::new(gaussians, camera, next, camera_next, keywords)?;
     view.options.outputs = Outputs::NONE;
-    let gradients = gradients_of(gradients, (view.camera.width, view.camera.height))?;
+    let gradients = gradients_of(gradients, view.camera.size())?;
     let has_flow = view.next.is_some();
     let needs_next = !gradients.flow.is_empty() || !gradients.depth_next.is_empty();
     if needs_next && !has_flow {

@@ -2,7 +2,7 @@ use std::io;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use srflow_core::SettingError;
+use srflow_core::{SettingError, Size};
 use srflow_data::manifest::ManifestError;
 use srflow_data::micro_expression::MicroExpressionError;
 use srflow_files::FileError;
@@ -10,13 +10,10 @@ use srflow_head::HeadModelError;
 use srflow_splat::RasterizeError;
 
 /// Checks a `size` against the shortest and the longest side, in pixels.
-pub(crate) fn check_size(
-    (width, height): (usize, usize),
-    sides: RangeInclusive<usize>,
-) -> Result<(), RenderError> {
+pub(crate) fn check_size(size: Size, sides: RangeInclusive<usize>) -> Result<(), RenderError> {
     let (low, high) = (sides.start(), sides.end());
     let expected = format!("{low}x{low} to {high}x{high} (WIDTHxHEIGHT)");
-    require("size", format!("{width}x{height}"), expected, sides.contains(&width) && sides.contains(&height))
+    require("size", size, expected, sides.contains(&size.width) && sides.contains(&size.height))
 }
 
 /// Checks that the value of a setting is `fine`.

@@ -346,7 +346,7 @@ impl TestedAvatar<'_> {
         for pair in pairs {
             let true_views = self.views(&self.truth.capture, pair)?;
             let views = self.views(self.capture, pair)?;
-            let size = |view: &CaptureView| (view.camera.width, view.camera.height);
+            let size = |view: &CaptureView| view.camera.size();
             if true_views.map(size) != views.map(size) {
                 return Err(
                     self.no_truth(format!("the pictures of camera {} have another size there", pair.camera))

@@ -9,12 +9,13 @@ use std::time::{Duration, Instant};
 
 use criterion::Criterion;
 use glam::{DMat4, DVec3, EulerRot, Quat, Vec3};
+use srflow_core::Size;
 use srflow_core::random::Key;
 use srflow_splat::{
     Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Next, Options, Outputs, Rasterizer, Sorting,
 };
 
-const SIZES: [(usize, usize); 3] = [(512, 512), (1600, 1200), (2200, 3208)];
+const SIZES: [Size; 3] = [Size::new(512, 512), Size::new(1600, 1200), Size::new(2200, 3208)];
 const COUNTS: [usize; 4] = [10_000, 100_000, 150_000, 1_000_000];
 /// Colour, flow, alpha and depth, as in the dataset.
 const OUTPUTS: Outputs =
@@ -32,10 +33,10 @@ fn main() {
     for count in COUNTS {
         let head = head(count);
         let next = moved(&head);
-        for (width, height) in SIZES {
-            let camera = camera(width, height);
+        for size in SIZES {
+            let camera = camera(size);
             for threads in [1, 2] {
-                let name = format!("{}k/{width}x{height}", count / 1000);
+                let name = format!("{}k/{size}", count / 1000);
                 bench_pair(&mut criterion, &name, threads, &head, &next, &camera);
             }
         }
@@ -108,8 +109,8 @@ fn bench_gradients(
     next: Option<&Gaussians>,
     sorting: Sorting,
 ) {
-    let (width, height) = (550, 802);
-    let camera = camera(width, height);
+    let size = Size::new(550, 802);
+    let camera = camera(size);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
     let mut rasterizer = Rasterizer::new();
     let mut frame = Frame::new();
@@ -117,10 +118,10 @@ fn bench_gradients(
     let outputs = if next.is_some() { all } else { Outputs { color: true, ..Outputs::NONE } };
     let options = Options { outputs, sorting, ..Options::default() };
     let mut stream = Key::new(2).stream("gradients");
-    let color = (0..width * height).map(|_| std::array::from_fn(|_| stream.normal())).collect();
+    let color = (0..size.pixels()).map(|_| std::array::from_fn(|_| stream.normal())).collect();
     let mut gradients = FrameGradients { color, ..FrameGradients::default() };
     if next.is_some() {
-        let mut numbers = || (0..width * height).map(|_| stream.normal()).collect();
+        let mut numbers = || (0..size.pixels()).map(|_| stream.normal()).collect();
         gradients.alpha = numbers();
         gradients.depth = numbers();
         gradients.depth_next = numbers();
@@ -160,20 +161,12 @@ fn bench_gradients(
 }
 
 /// A camera one metre in front of the head's centre, with the head filling half of the image (or as much as fits).
-fn camera(width: usize, height: usize) -> Camera {
-    let (w, h) = (width as f64, height as f64);
+fn camera(size: Size) -> Camera {
+    let (w, h) = (size.width as f64, size.height as f64);
     let (a, b) = (f64::from(HALF_AXES.x), f64::from(HALF_AXES.y));
     let half = (0.5 * w * h / (std::f64::consts::PI * a * b)).sqrt();
     let focal = half.min(0.49 * h / b).min(0.49 * w / a);
-    Camera {
-        width,
-        height,
-        fx: focal,
-        fy: focal,
-        cx: 0.5 * (w - 1.0),
-        cy: 0.5 * (h - 1.0),
-        camera_from_world: DMat4::from_translation(DVec3::Z),
-    }
+    Camera { camera_from_world: DMat4::from_translation(DVec3::Z), ..Camera::centred(size, [focal; 2]) }
 }
 
 /// Flat Gaussians all over an ellipsoid, like those of an avatar on its mesh: standard deviations of 0.35 to 1.05 times the

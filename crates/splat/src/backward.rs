@@ -7,6 +7,7 @@ mod projection;
 mod tile;
 
 use rayon::prelude::*;
+use srflow_core::Size;
 use srflow_simd::{Isa, MAX_LANES, Simd, dispatch};
 
 use crate::gradients::{CameraGradient, FrameGradients, GaussianGradients, GaussianGradientsChunk};
@@ -39,7 +40,7 @@ impl Rendering<'_> {
         gradients: &FrameGradients,
         out: &mut GaussianGradients,
     ) -> Result<(), RasterizeError> {
-        gradients.validate((self.camera.width, self.camera.height))?;
+        gradients.validate(self.camera.size())?;
         let motion = self.next.is_some() && !(gradients.flow.is_empty() && gradients.depth_next.is_empty());
         if motion {
             self.strips::<7>(gradients);
@@ -58,7 +59,7 @@ impl Rendering<'_> {
         let isa = isa.unwrap_or_else(Isa::best);
         let pass = Pass {
             scene: Scene::new(splats, peaks, &self.options),
-            size: (self.camera.width, self.camera.height),
+            size: self.camera.size(),
             gradients,
             chunks: splats.len().div_ceil(CHUNK),
         };
@@ -132,8 +133,8 @@ impl Rendering<'_> {
 #[derive(Clone, Copy)]
 struct Pass<'a> {
     scene: Scene<'a>,
-    /// Width and height of the image.
-    size: (usize, usize),
+    /// Of the image.
+    size: Size,
     gradients: &'a FrameGradients,
     /// Number of chunks of Gaussians.
     chunks: usize,
@@ -160,7 +161,8 @@ fn fill<const CHANNELS: usize>(
     strip: &mut Strip,
     (replay, order): &mut (Replay, PixelOrder),
 ) {
-    let Pass { scene: Scene { splats, peaks, background }, size: (width, height), gradients, chunks } = pass;
+    let Pass { scene: Scene { splats, peaks, background }, size: Size { width, height }, gradients, chunks } =
+        pass;
     let Strip { tiles, slots, entries, sorted, starts } = strip;
     let columns = width.div_ceil(TILE);
     let positions = drawn.iter().enumerate();

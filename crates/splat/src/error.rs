@@ -1,3 +1,5 @@
+use srflow_core::Size;
+
 /// Why a set of Gaussians cannot be rendered.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RasterizeError {
@@ -27,27 +29,25 @@ pub enum RasterizeError {
         next: usize,
     },
     /// The two cameras' images differ in size.
-    #[error("the two cameras' images differ in size: {}x{} and {}x{} (WIDTHxHEIGHT); flow needs one size", .first.0, .first.1, .next.0, .next.1)]
+    #[error("the two cameras' images differ in size: {first} and {next} (WIDTHxHEIGHT); flow needs one size")]
     SizeMismatch {
-        /// Width and height of the first camera's image.
-        first: (usize, usize),
-        /// Width and height of the next camera's image.
-        next: (usize, usize),
+        /// Of the first camera's image.
+        first: Size,
+        /// Of the next camera's image.
+        next: Size,
     },
     /// A list of gradients does not fit the rendered image.
     #[error(
-        "the gradients: {list} has {found} entries, an image of {width}x{height} (WIDTHxHEIGHT) needs {} or none",
-        .width * .height
+        "the gradients: {list} has {found} entries, an image of {size} (WIDTHxHEIGHT) needs {} or none",
+        .size.pixels()
     )]
     GradientLength {
         /// Name of the field, e.g. `color`.
         list: &'static str,
         /// Entries found.
         found: usize,
-        /// Width of the image in pixels.
-        width: usize,
-        /// Height of the image in pixels.
-        height: usize,
+        /// Size of the image.
+        size: Size,
     },
     /// [`Sorting::PerPixel`](crate::Sorting::PerPixel) on another device than the CPU.
     #[error("Gaussians are sorted per pixel on the CPU only: use the device cpu, or global sorting")]
@@ -64,26 +64,16 @@ pub enum RasterizeError {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CameraError {
     /// The image is empty.
-    #[error("the image is {width}x{height} (WIDTHxHEIGHT): both must be at least 1")]
-    Empty {
-        /// Width in pixels.
-        width: usize,
-        /// Height in pixels.
-        height: usize,
-    },
+    #[error("the image is {size} (WIDTHxHEIGHT): both must be at least 1")]
+    Empty { size: Size },
     /// The image is larger than [`MAX_PIXELS`](crate::MAX_PIXELS) or [`MAX_SIDE`](crate::MAX_SIDE).
     #[error(
-        "the image is {width}x{height} (WIDTHxHEIGHT): at most {} pixels a side and {} in all can be rendered; render it \
+        "the image is {size} (WIDTHxHEIGHT): at most {} pixels a side and {} in all can be rendered; render it \
          in parts by moving the principal point",
         crate::MAX_SIDE,
         crate::MAX_PIXELS
     )]
-    TooLarge {
-        /// Width in pixels.
-        width: usize,
-        /// Height in pixels.
-        height: usize,
-    },
+    TooLarge { size: Size },
     /// A focal length is not positive and finite.
     #[error("{name} is {value}: a focal length must be positive and finite")]
     FocalLength {

@@ -1,6 +1,6 @@
 use std::ops::Range;
 
-use srflow_core::{FlowField, Image, Mask, Plane};
+use srflow_core::{FlowField, Image, Mask, Plane, Size};
 
 /// The outputs to write. Others stay empty (size 0x0) and cost nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -97,7 +97,7 @@ impl Frame {
 
     /// `true` where alpha is over one half. Needs [`Outputs::alpha`].
     pub fn mask(&self) -> Mask {
-        let (width, height) = self.alpha.size();
+        let Size { width, height } = self.alpha.size();
         let pixels: Vec<bool> = self.alpha.pixels().iter().map(|&alpha| alpha > 0.5).collect();
         Mask::from_pixels(width, height, pixels).unwrap_or_else(|_| Mask::new(width, height))
     }
@@ -116,14 +116,14 @@ impl Frame {
     }
 
     /// Resizes the requested buffers and empties the others, keeping their memory.
-    pub(crate) fn prepare(&mut self, width: usize, height: usize, outputs: Outputs) {
+    pub(crate) fn prepare(&mut self, size: Size, outputs: Outputs) {
         macro_rules! fit {
             ($field:ident, $type:ident, $blank:expr) => {
-                let (width, height) = if outputs.$field { (width, height) } else { (0, 0) };
-                if self.$field.size() != (width, height) {
+                let size = if outputs.$field { size } else { Size::default() };
+                if self.$field.size() != size {
                     let mut pixels = std::mem::replace(&mut self.$field, $type::new(0, 0)).into_pixels();
-                    pixels.resize(width * height, $blank);
-                    self.$field = match $type::from_pixels(width, height, pixels) {
+                    pixels.resize(size.pixels(), $blank);
+                    self.$field = match $type::from_pixels(size.width, size.height, pixels) {
                         Ok(grid) => grid,
                         Err(_) => unreachable!("resized to fit"),
                     };
@@ -135,8 +135,8 @@ impl Frame {
         fit!(depth, Plane, 0.0);
         fit!(flow, FlowField, [0.0; 2]);
         fit!(depth_next, Plane, 0.0);
-        self.color.resize(if outputs.color { width * height } else { 0 }, [0.0; 3]);
-        (self.width, self.height) = (width, height);
+        self.color.resize(if outputs.color { size.pixels() } else { 0 }, [0.0; 3]);
+        Size { width: self.width, height: self.height } = size;
         self.statistics = Statistics::default();
     }
 }

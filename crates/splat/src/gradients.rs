@@ -1,4 +1,5 @@
 use glam::{DVec3, Vec2, Vec3, Vec4};
+use srflow_core::Size;
 
 use crate::{Gaussians, RasterizeError};
 
@@ -20,7 +21,7 @@ pub struct FrameGradients {
 
 impl FrameGradients {
     /// Checks the length of each list, for an image of this size.
-    pub(crate) fn validate(&self, (width, height): (usize, usize)) -> Result<(), RasterizeError> {
+    pub(crate) fn validate(&self, size: Size) -> Result<(), RasterizeError> {
         let lists = [
             ("color", self.color.len()),
             ("alpha", self.alpha.len()),
@@ -29,8 +30,8 @@ impl FrameGradients {
             ("depth_next", self.depth_next.len()),
         ];
         for (list, found) in lists {
-            if found != 0 && found != width * height {
-                return Err(RasterizeError::GradientLength { list, found, width, height });
+            if found != 0 && found != size.pixels() {
+                return Err(RasterizeError::GradientLength { list, found, size });
             }
         }
         Ok(())

@@ -68,7 +68,7 @@ pub(crate) fn validate(
         return Err(RasterizeError::CountMismatch { first: gaussians.len(), next: next.gaussians.len() });
     }
     next.camera.validate()?;
-    let (first, next) = ((camera.width, camera.height), (next.camera.width, next.camera.height));
+    let (first, next) = (camera.size(), next.camera.size());
     if first != next {
         return Err(RasterizeError::SizeMismatch { first, next });
     }

@@ -59,7 +59,7 @@ impl Rasterizer {
         let wanted = options.outputs;
         let outputs =
             Outputs { flow: wanted.flow && has_next, depth_next: wanted.depth_next && has_next, ..wanted };
-        frame.prepare(camera.width, camera.height, outputs);
+        frame.prepare(camera.size(), outputs);
 
         let isa = self.isa.unwrap_or_else(Isa::best);
         let without_displacement =

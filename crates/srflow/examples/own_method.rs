@@ -6,7 +6,7 @@ use std::error::Error;
 use std::path::PathBuf;
 
 use srflow::Watch;
-use srflow::core::{EstimateError, FlowEstimator, FlowField, Image, score};
+use srflow::core::{EstimateError, FlowEstimator, FlowField, Image, Size, score};
 use srflow::files::{read_flow, read_image};
 use srflow::flow::{MethodParameters, MethodSpec, estimator};
 
@@ -19,7 +19,7 @@ impl FlowEstimator for Translation {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        let (width, height) = frame1.size();
+        let Size { width, height } = frame1.size();
         let difference = |u: isize, v: isize| {
             let inside = |x: usize, y: usize| {
                 let (x, y) = (x.checked_add_signed(u)?, y.checked_add_signed(v)?);

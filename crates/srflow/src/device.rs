@@ -80,7 +80,7 @@ const MOST_REPEATS: i64 = 1000;
 
 impl Default for Timing {
     fn default() -> Self {
-        let size = Size { width: 800, height: 512 };
+        let size = Size::new(800, 512);
         Self { device: "cpu".to_owned(), size, repeats: 4, against_cpu: false }
     }
 }

@@ -255,20 +255,18 @@ impl FromStr for Crop {
 
 impl Crop {
     /// The window of a frame. Without a place, it is around the head.
-    fn window(self, pair: &str, frame: (usize, usize), head: Option<&Mask>) -> anyhow::Result<Window> {
-        let Size { width, height } = self.size;
+    fn window(self, pair: &str, frame: Size, head: Option<&Mask>) -> anyhow::Result<Window> {
+        let size @ Size { width, height } = self.size;
         let Some((left, top)) = self.at else {
-            return head_window(frame, (width, height), head).with_context(|| format!("`crop` of {pair}"));
+            return head_window(frame, size, head).with_context(|| format!("`crop` of {pair}"));
         };
         let inside = |from: usize, length: usize, whole: usize| {
             from.checked_add(length).is_some_and(|end| end <= whole)
         };
-        if !inside(left, width, frame.0) || !inside(top, height, frame.1) {
+        if !inside(left, width, frame.width) || !inside(top, height, frame.height) {
             wrong_settings!(
-                "`crop`: {width}x{height} from column {left} and row {top} is not within the frames of {pair}, which are {}x{} \
-                 (WIDTHxHEIGHT): choose a part of them",
-                frame.0,
-                frame.1
+                "`crop`: {size} from column {left} and row {top} is not within the frames of {pair}, which are {frame} \
+                 (WIDTHxHEIGHT): choose a part of them"
             );
         }
         Ok(Window { left, top, width, height })
@@ -635,25 +633,21 @@ impl FigureJob {
         let (frame1, frame2) = (read_image(file1)?, read_image(file2)?);
         ensure!(
             frame1.size() == frame2.size(),
-            "{} is {}x{} and {} {}x{} (WIDTHxHEIGHT): give two frames of one size",
+            "{} is {} and {} {} (WIDTHxHEIGHT): give two frames of one size",
             file1.display(),
-            frame1.width(),
-            frame1.height(),
+            frame1.size(),
             file2.display(),
-            frame2.width(),
-            frame2.height()
+            frame2.size()
         );
         let read = |file: &Path| {
             let flow = read_flow(file)?;
             ensure!(
                 flow.size() == frame1.size(),
-                "{}: expected a flow of {}x{} as {} is, found {}x{} (WIDTHxHEIGHT)",
+                "{}: expected a flow of {} as {} is, found {} (WIDTHxHEIGHT)",
                 file.display(),
-                frame1.width(),
-                frame1.height(),
+                frame1.size(),
                 file1.display(),
-                flow.width(),
-                flow.height()
+                flow.size()
             );
             Ok(flow)
         };

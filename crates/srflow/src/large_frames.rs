@@ -138,7 +138,7 @@ impl LargeFrames {
     fn tile_size(&self, method: Method, network: &NetworkArgs) -> anyhow::Result<Option<TileSize>> {
         Ok(match (self.tile, method) {
             (None, _) => None,
-            (Some(Tile::Size(size)), _) => Some(TileSize::Fixed(size.width, size.height)),
+            (Some(Tile::Size(size)), _) => Some(TileSize::Fixed(size)),
             (Some(Tile::Auto), Method::Network(architecture)) => {
                 if !network.on_cpu() {
                     wrong_settings!(
@@ -166,18 +166,19 @@ impl LargeFrames {
     /// As [`LargeFrames::tiling`], and when the memory is too small for any tile.
     pub fn resolution(
         &self,
-        size: (usize, usize),
+        size: Size,
         method: Method,
         network: &NetworkArgs,
     ) -> anyhow::Result<Resolution> {
-        let (width, height) = self.scale.map_or(size, |factor| scaled_size(size, factor));
+        let size = self.scale.map_or(size, |factor| scaled_size(size, factor));
         let (tile, tiles) = match self.tiling(method, network)? {
             Some(tiling) => {
-                let tiles = Tiles::new((width, height), tiling)?;
+                let tiles = Tiles::new(size, tiling)?;
                 (tiles.size(), tiles.count())
             }
-            None => ((width, height), 1),
+            None => (size, 1),
         };
-        Ok(Resolution { width, height, tile_width: tile.0, tile_height: tile.1, tiles })
+        let Size { width, height } = size;
+        Ok(Resolution { width, height, tile_width: tile.width, tile_height: tile.height, tiles })
     }
 }

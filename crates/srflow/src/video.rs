@@ -7,7 +7,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::thread::JoinHandle;
 
 use anyhow::{Context as _, anyhow, bail, ensure};
-use srflow_core::{Image, printable};
+use srflow_core::{Image, Size, printable};
 use srflow_files::{FileKind, open_file};
 
 /// Extensions of video files.
@@ -234,7 +234,7 @@ pub struct VideoWriter {
     child: Option<Child>,
     stdin: Option<ChildStdin>,
     complaints: Option<JoinHandle<String>>,
-    size: (usize, usize),
+    size: Size,
 }
 
 impl VideoWriter {
@@ -242,12 +242,12 @@ impl VideoWriter {
     ///
     /// # Errors
     /// When there is no `ffmpeg`.
-    pub fn create(path: &Path, size: (usize, usize), rate: &str) -> anyhow::Result<Self> {
+    pub fn create(path: &Path, size: Size, rate: &str) -> anyhow::Result<Self> {
         let extension = path.extension().and_then(OsStr::to_str).unwrap_or_default();
         let partial = path.with_extension(format!("{}.{extension}", srflow_files::PARTIAL_EXTENSION));
         let mut command = Command::new("ffmpeg");
         command.args(["-nostdin", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
-        command.args(["-s", &format!("{}x{}", size.0, size.1), "-r", rate, "-i", "-"]);
+        command.args(["-s", &size.to_string(), "-r", rate, "-i", "-"]);
         // Most players need chroma at half the size, which is impossible for an odd side.
         command.args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]).arg(address(&partial));
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());

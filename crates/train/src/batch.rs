@@ -1,6 +1,7 @@
 //! Batches of samples as tensors for networks and losses.
 
 use burn::tensor::{Device, Tensor, TensorData};
+use srflow_core::Size;
 use srflow_core::random::Key;
 use srflow_nets::Frames;
 
@@ -36,7 +37,7 @@ impl Batch {
     pub fn new<'a>(samples: impl IntoIterator<Item = &'a TrainingSample>) -> Self {
         let mut batch = Self::default();
         for TrainingSample { name, key, sample } in samples {
-            let (width, height) = sample.frame1.size();
+            let Size { width, height } = sample.frame1.size();
             assert!(batch.names.is_empty() || batch.size == [height, width], "samples of one size");
             let flow = sample.flow.as_ref().expect("a sample with a flow");
             batch.size = [height, width];

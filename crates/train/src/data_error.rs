@@ -24,16 +24,10 @@ pub enum DataError {
     )]
     NoClip { dataset: String, dir: PathBuf, frames: usize },
     #[error(
-        "{pair}: its frames are {}x{}, less than half the crop of {crop} (WIDTHxHEIGHT); set data.crop (`crop`) to at most \
-         the size of the frames",
-        .frame.0, .frame.1
+        "{pair}: its frames are {frame}, less than half the crop of {crop} (WIDTHxHEIGHT); set data.crop (`crop`) to at most \
+         the size of the frames"
     )]
-    TooSmall {
-        pair: String,
-        /// Width and height.
-        frame: (usize, usize),
-        crop: Size,
-    },
+    TooSmall { pair: String, frame: Size, crop: Size },
     #[error("`{data}`: {source}")]
     Made {
         /// As in `data.train`, e.g. `rendered:`, or a pair of it.

@@ -145,7 +145,7 @@ impl TrainingSet {
         sample: Sample,
         key: Key,
     ) -> Result<TrainingSample, DataError> {
-        let frame @ (width, height) = sample.frame1.size();
+        let frame @ Size { width, height } = sample.frame1.size();
         if 2 * width < self.crop.width || 2 * height < self.crop.height {
             return Err(DataError::TooSmall { pair: name, frame, crop: self.crop });
         }

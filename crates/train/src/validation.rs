@@ -55,12 +55,11 @@ impl Validation {
     }
 
     pub(crate) fn of(config: &Config, datasets: Vec<FlowDataset>) -> Self {
-        let crop = config.validation.crop.map(|crop| (crop.width, crop.height));
         let limit = (config.validation.limit > 0).then_some(config.validation.limit);
         // A checked configuration trains with at least one iteration.
         let iterations = [config.validation.iterations, config.training.iterations];
         let iterations = iterations.into_iter().find_map(NonZeroUsize::new).unwrap_or(NonZeroUsize::MIN);
-        let settings = Settings { crop, limit, ..Settings::default() };
+        let settings = Settings { crop: config.validation.crop, limit, ..Settings::default() };
         Self { datasets, settings, iterations }
     }
 

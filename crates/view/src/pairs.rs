@@ -1,7 +1,7 @@
 //! Pairs of a dataset, or flow alone.
 
 use serde_json::{Value, json};
-use srflow_core::{FlowField, Image, Mask, Plane};
+use srflow_core::{FlowField, Image, Mask, Plane, Size};
 
 use crate::pack::Pack;
 use crate::splats::ViewError;
@@ -43,7 +43,7 @@ impl ViewedPair<'_> {
             let [epe, epe_head] = method.epe;
             json!({ "key": key(number), "name": method.name, "epe": epe, "epe_head": epe_head })
         });
-        let (width, height) = self.size();
+        let Size { width, height } = self.size();
         let mut pack = Pack::new(
             json!({ "width": width, "height": height, "methods": methods.collect::<Vec<Value>>() }),
         );
@@ -65,10 +65,10 @@ impl ViewedPair<'_> {
         Ok(pack)
     }
 
-    fn size(&self) -> (usize, usize) {
+    fn size(&self) -> Size {
         let frame = self.frames.map(|[frame, _]| frame.size());
         let flow = self.flow.or_else(|| Some(self.methods.first()?.flow)).map(|flow| flow.size());
-        frame.or(flow).unwrap_or((0, 0))
+        frame.or(flow).unwrap_or_default()
     }
 }
 
@@ -77,11 +77,11 @@ fn key(method: usize) -> String {
 }
 
 fn png(image: &Image) -> Result<Vec<u8>, ViewError> {
-    let (width, height) = image.size();
-    let wrong = |reason: String| ViewError::Frame { width, height, reason };
+    let size = image.size();
+    let wrong = |reason: String| ViewError::Frame { size, reason };
     let side = |pixels: usize| u32::try_from(pixels).map_err(|error| wrong(error.to_string()));
     let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, side(width)?, side(height)?);
+    let mut encoder = png::Encoder::new(&mut bytes, side(size.width)?, side(size.height)?);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_compression(png::Compression::Fast);
     let mut writer = encoder.write_header().map_err(|error| wrong(error.to_string()))?;

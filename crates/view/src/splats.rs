@@ -1,5 +1,6 @@
 use serde::Serialize;
 use serde_json::json;
+use srflow_core::Size;
 use srflow_splat::{Gaussians, Surroundings, Up};
 
 use crate::pack::Pack;
@@ -9,8 +10,8 @@ use crate::pack::Pack;
 pub enum ViewError {
     #[error("no Gaussian: there is nothing to show")]
     NoGaussians,
-    #[error("encoding a frame of {width}x{height} pixels: {reason}")]
-    Frame { width: usize, height: usize, reason: String },
+    #[error("encoding a frame of {size} pixels: {reason}")]
+    Frame { size: Size, reason: String },
 }
 
 /// Where the camera looks.

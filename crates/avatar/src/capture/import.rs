@@ -257,15 +257,15 @@ fn pictures_by_camera(
 
 /// The camera for the size of a picture.
 fn sized(camera: Camera, name: &str, picture: &Path) -> Result<Camera, FileError> {
-    let (width, height) = read_image_size(picture)?;
-    let (of_width, of_height) = (width as f64 / camera.width as f64, height as f64 / camera.height as f64);
+    let size = read_image_size(picture)?;
+    let (of_width, of_height) =
+        (size.width as f64 / camera.width as f64, size.height as f64 / camera.height as f64);
     // Sizes are rounded: 2200x3208 may have become 550x802.
     if (of_width / of_height - 1.0).abs() > 0.01 {
-        let expected =
-            format!("{}x{} or the same shape, as camera {}", camera.width, camera.height, excerpt(name));
-        return Err(problem("size", expected, format!("{width}x{height}")).in_file(picture));
+        let expected = format!("{} or the same shape, as camera {}", camera.size(), excerpt(name));
+        return Err(problem("size", expected, size).in_file(picture));
     }
-    Ok(camera.resized((width, height)))
+    Ok(camera.resized(size))
 }
 
 /// The camera in a world of metres; `unit` are the metres in a unit of its own.

@@ -25,7 +25,7 @@ mod write;
 
 use std::path::{Path, PathBuf};
 
-use srflow_core::{Image, Plane};
+use srflow_core::{Image, Plane, Size};
 use srflow_files::{FileError, FileProblem, read_alpha, read_image};
 use srflow_splat::Camera;
 
@@ -73,7 +73,7 @@ impl CaptureView {
         if !faithful {
             return camera;
         }
-        let centred = Camera::centred((camera.width, camera.height), [camera.fx; 2]);
+        let centred = Camera::centred(camera.size(), [camera.fx; 2]);
         Camera { camera_from_world: camera.camera_from_world, ..centred }
     }
 }
@@ -227,14 +227,13 @@ impl Capture {
     }
 }
 
-fn check_size(path: &Path, found: (usize, usize), camera: &Camera) -> Result<(), FileError> {
-    let expected = (camera.width, camera.height);
+fn check_size(path: &Path, found: Size, camera: &Camera) -> Result<(), FileError> {
+    let expected = camera.size();
     if found == expected {
         return Ok(());
     }
-    let words = |(width, height): (usize, usize)| format!("{width}x{height}");
-    let expected = format!("{} (WIDTHxHEIGHT), as its camera in transforms.json", words(expected));
-    Err(FileError { path: path.to_owned(), problem: problem("size", expected, words(found)) })
+    let expected = format!("{expected} (WIDTHxHEIGHT), as its camera in transforms.json");
+    Err(FileError { path: path.to_owned(), problem: problem("size", expected, found) })
 }
 
 fn problem(field: &'static str, expected: impl ToString, found: impl ToString) -> FileProblem {

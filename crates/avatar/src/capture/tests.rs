@@ -2,7 +2,7 @@ use std::fs;
 
 use glam::{DMat3, DVec3, Quat, Vec3};
 use serde_json::{Value, json};
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 use srflow_files::{NpzArray, write_image_png, write_npz};
 use srflow_splat::Camera;
 
@@ -13,7 +13,7 @@ use srflow_head::{HeadModel, HeadParameters, HeadPose, PoseParameters};
 fn camera(degrees: f64) -> Camera {
     let turn = DMat3::from_rotation_y(degrees.to_radians());
     let facing = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
-    let camera = Camera { cx: 12.0, cy: 34.0, ..Camera::centred((40, 60), [80.0, 81.0]) };
+    let camera = Camera { cx: 12.0, cy: 34.0, ..Camera::centred(Size::new(40, 60), [80.0, 81.0]) };
     camera.placed(turn * facing, turn * DVec3::Z)
 }
 
@@ -386,7 +386,10 @@ fn tables_of_openface_and_mediapipe_are_read() {
     let read = |text: &str| {
         fs::write(&path, text).expect("written");
         let mut landmarks = Landmarks::default();
-        landmarks.add_table(&path, 3, (1000, 500)).map(|()| landmarks).map_err(|error| error.to_string())
+        landmarks
+            .add_table(&path, 3, Size::new(1000, 500))
+            .map(|()| landmarks)
+            .map_err(|error| error.to_string())
     };
     // The second face of frame 1 is surer; frame 2 failed; frame 4 has a hole.
     let rows = [("1,0.5,1", 1.0), ("1,0.9,1", 5.0), ("1,0.7,1", 9.0), ("2,0.0,0", 0.0), ("4,0.9,1", 2.0)];

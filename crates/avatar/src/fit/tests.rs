@@ -1,4 +1,5 @@
 use glam::{DMat3, DQuat, DVec3};
+use srflow_core::Size;
 use srflow_core::random::Key;
 use srflow_head::HeadModel;
 use srflow_splat::Camera;
@@ -11,7 +12,7 @@ use super::{FitOptions, LandmarkView};
 #[test]
 fn the_gradient_is_that_of_the_cost() {
     let model = HeadModel::builtin_average();
-    let camera = Camera::centred((550, 802), [2050.0; 2])
+    let camera = Camera::centred(Size::new(550, 802), [2050.0; 2])
         .placed(DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)), DVec3::new(0.0, 0.0, 1.1));
     let mut stream = Key::new(3).stream("landmarks");
     let mut random = |scale: f64| f64::from(stream.normal()) * scale;

@@ -4,6 +4,7 @@
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
+use srflow_core::Size;
 use srflow_core::random::Stream;
 use srflow_files::FileError;
 use srflow_splat::{GaussianGradients, Gaussians};
@@ -131,18 +132,12 @@ impl DensityStatistics {
     /// Adds one picture of this size, in pixels, which shows the `visible` ones.
     ///
     /// Panics when the lists are shorter than the number of Gaussians.
-    pub fn add(
-        &mut self,
-        strategy: Strategy,
-        gradients: &GaussianGradients,
-        visible: &[bool],
-        (width, height): (usize, usize),
-    ) {
+    pub fn add(&mut self, strategy: Strategy, gradients: &GaussianGradients, visible: &[bool], size: Size) {
         let centers = match strategy {
             Strategy::Default | Strategy::Mcmc => &gradients.centers,
             Strategy::AbsGs => &gradients.centers_absolute,
         };
-        let half = 0.5 * glam::Vec2::new(width as f32, height as f32);
+        let half = 0.5 * glam::Vec2::new(size.width as f32, size.height as f32);
         for (i, (sum, count)) in self.sums.iter_mut().zip(&mut self.counts).enumerate() {
             if visible[i] {
                 *sum += (centers[i] * half).length();
@@ -366,12 +361,12 @@ mod tests {
             ..GaussianGradients::default()
         };
         let mut statistics = DensityStatistics::new(3);
-        statistics.add(Strategy::Default, &gradients, &[true, true, false], (20, 20));
-        statistics.add(Strategy::Default, &gradients, &[true, false, false], (40, 20));
+        statistics.add(Strategy::Default, &gradients, &[true, true, false], Size::new(20, 20));
+        statistics.add(Strategy::Default, &gradients, &[true, false, false], Size::new(40, 20));
         assert!((statistics.mean(0) - 0.5 * (50.0 + 60.0_f32.hypot(40.0))).abs() < 1e-4);
         assert_eq!((statistics.mean(1), statistics.mean(2)), (10.0, 0.0));
         let mut absolute = DensityStatistics::new(3);
-        absolute.add(Strategy::AbsGs, &gradients, &[true; 3], (2, 2));
+        absolute.add(Strategy::AbsGs, &gradients, &[true; 3], Size::new(2, 2));
         assert!((absolute.mean(2) - 7.0 * 2.0_f32.sqrt()).abs() < 1e-5);
     }
 

@@ -4,19 +4,19 @@
 pub mod reference;
 
 use rayon::prelude::*;
+use srflow_core::Size;
 use srflow_simd::{Isa, MAX_LANES, Simd, dispatch};
 
 use reference::{C1, C2, RADIUS, WINDOW_LEN, window};
 
 /// A picture's list of pixels has the wrong length.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("the {picture} picture has {found} pixels; {width}x{height} (WIDTHxHEIGHT) needs {}", .width * .height)]
+#[error("the {picture} picture has {found} pixels; {size} (WIDTHxHEIGHT) needs {}", .size.pixels())]
 pub struct ImageLossError {
     /// `rendered` or `target`.
     picture: &'static str,
     found: usize,
-    width: usize,
-    height: usize,
+    size: Size,
 }
 
 /// See [`ImageLoss`].
@@ -57,24 +57,25 @@ impl ImageLoss {
     /// `gradient`. Pictures are row-major, with values of about 0..1. The absolute difference has the gradient 0 at 0.
     ///
     /// # Errors
-    /// When a picture does not have `width * height` pixels.
+    /// When a picture does not have this size.
     pub fn backward(
         &mut self,
         rendered: &[[f32; 3]],
         target: &[[f32; 3]],
-        (width, height): (usize, usize),
+        size: Size,
         gradient: &mut Vec<[f32; 3]>,
     ) -> Result<ImageLossValue, ImageLossError> {
-        let count = width * height;
+        let count = size.pixels();
         for (picture, found) in [("rendered", rendered.len()), ("target", target.len())] {
             if found != count {
-                return Err(ImageLossError { picture, found, width, height });
+                return Err(ImageLossError { picture, found, size });
             }
         }
         gradient.resize(count, [0.0; 3]);
         if count == 0 {
             return Ok(ImageLossValue { ssim: 1.0, ..ImageLossValue::default() });
         }
+        let Size { width, height } = size;
         let numbers = (3 * count) as f64;
         let row = 3 * width;
         let stride = row.next_multiple_of(MAX_LANES);
@@ -309,9 +310,10 @@ mod tests {
     type Picture = Vec<[f32; 3]>;
 
     /// A picture of smooth shapes with noise, and one somewhat like it, of values beyond 0..1 too.
-    fn pictures(width: usize, height: usize, seed: u64) -> (Picture, Picture) {
+    fn pictures(size: Size, seed: u64) -> (Picture, Picture) {
+        let Size { width, height } = size;
         let mut stream = Key::new(seed).stream("pictures");
-        let target: Picture = (0..width * height)
+        let target: Picture = (0..size.pixels())
             .map(|i| {
                 let (x, y) = ((i % width) as f32, (i / width) as f32);
                 let wave = 0.5 + 0.4 * libm::sinf(0.4 * x + 0.1 * y * y / height as f32);
@@ -323,12 +325,13 @@ mod tests {
         (rendered, target)
     }
 
-    const SIZES: [(usize, usize); 5] = [(23, 17), (5, 40), (1, 1), (64, 3), (37, 29)];
+    const SIZES: [Size; 5] =
+        [Size::new(23, 17), Size::new(5, 40), Size::new(1, 1), Size::new(64, 3), Size::new(37, 29)];
 
     #[test]
     fn the_definition_has_its_central_differences_as_gradient() {
-        let (size, w) = ((13, 9), 0.2);
-        let (rendered, target) = pictures(size.0, size.1, 1);
+        let (size, w) = (Size::new(13, 9), 0.2);
+        let (rendered, target) = pictures(size, 1);
         let exact = |picture: &Picture| -> Vec<[f64; 3]> {
             picture.iter().map(|pixel| pixel.map(f64::from)).collect()
         };
@@ -351,48 +354,49 @@ mod tests {
 
     #[test]
     fn the_fast_loss_agrees_with_the_definition() {
-        for (seed, (width, height)) in SIZES.into_iter().enumerate() {
-            let (rendered, target) = pictures(width, height, seed as u64);
+        for (seed, size) in SIZES.into_iter().enumerate() {
+            let (rendered, target) = pictures(size, seed as u64);
             let mut loss = ImageLoss::default();
             let mut gradient = vec![[f32::NAN; 3]; 7];
-            let value = loss.backward(&rendered, &target, (width, height), &mut gradient).unwrap();
+            let value = loss.backward(&rendered, &target, size, &mut gradient).unwrap();
             let exact = |picture: &Picture| -> Vec<[f64; 3]> {
                 picture.iter().map(|pixel| pixel.map(f64::from)).collect()
             };
-            let (expected, slopes) =
-                reference::loss(&exact(&rendered), &exact(&target), (width, height), 0.2);
-            assert!((value.l1 - expected.l1).abs() < 1e-6, "{width}x{height}");
+            let (expected, slopes) = reference::loss(&exact(&rendered), &exact(&target), size, 0.2);
+            assert!((value.l1 - expected.l1).abs() < 1e-6, "{size}");
             assert!((value.ssim - expected.ssim).abs() < 1e-5, "{value:?}, {expected:?}");
             assert!((value.total - expected.total).abs() < 1e-5);
-            let scale = 1.0 / (3 * width * height) as f64;
+            let scale = 1.0 / (3 * size.pixels()) as f64;
             for (found, expected) in gradient.as_flattened().iter().zip(slopes.as_flattened()) {
                 let error = (f64::from(*found) - expected).abs();
-                assert!(error < 1e-3 * (expected.abs() + scale), "{width}x{height}: {found}, {expected}");
+                assert!(error < 1e-3 * (expected.abs() + scale), "{size}: {found}, {expected}");
             }
         }
     }
 
     #[test]
     fn equal_pictures_have_no_loss_and_no_gradient() {
-        let (_, target) = pictures(40, 30, 3);
+        let size = Size::new(40, 30);
+        let (_, target) = pictures(size, 3);
         let mut gradient = Vec::new();
-        let value = ImageLoss::default().backward(&target, &target, (40, 30), &mut gradient).unwrap();
+        let value = ImageLoss::default().backward(&target, &target, size, &mut gradient).unwrap();
         assert!(value.total.abs() < 1e-6 && (value.ssim - 1.0).abs() < 1e-6);
         assert!(gradient.as_flattened().iter().all(|gradient| gradient.abs() < 1e-7));
     }
 
     #[test]
     fn the_loss_has_the_same_bits_on_every_processor_and_number_of_threads() {
-        let (rendered, target) = pictures(101, 67, 4);
+        let (size, small) = (Size::new(101, 67), Size::new(50, 20));
+        let (rendered, target) = pictures(size, 4);
         let run = |isa: Isa, threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             let mut loss = ImageLoss { isa, ..ImageLoss::default() };
             let mut gradient = Vec::new();
-            let value = pool.install(|| loss.backward(&rendered, &target, (101, 67), &mut gradient)).unwrap();
+            let value = pool.install(|| loss.backward(&rendered, &target, size, &mut gradient)).unwrap();
             // A second picture leaves nothing of the first.
-            let (other, _) = pictures(50, 20, 5);
-            loss.backward(&other, &other, (50, 20), &mut Vec::new()).unwrap();
-            assert_eq!(loss.backward(&rendered, &target, (101, 67), &mut gradient), Ok(value));
+            let (other, _) = pictures(small, 5);
+            loss.backward(&other, &other, small, &mut Vec::new()).unwrap();
+            assert_eq!(loss.backward(&rendered, &target, size, &mut gradient), Ok(value));
             (value, gradient)
         };
         let expected = run(Isa::best(), 1);
@@ -406,7 +410,7 @@ mod tests {
     #[test]
     fn pictures_of_another_size_are_refused() {
         let error = ImageLoss::default()
-            .backward(&[[0.0; 3]; 6], &[[0.0; 3]; 5], (3, 2), &mut Vec::new())
+            .backward(&[[0.0; 3]; 6], &[[0.0; 3]; 5], Size::new(3, 2), &mut Vec::new())
             .unwrap_err();
         assert_eq!(error.to_string(), "the target picture has 5 pixels; 3x2 (WIDTHxHEIGHT) needs 6");
     }

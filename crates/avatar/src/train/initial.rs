@@ -33,6 +33,7 @@ pub fn camera_extent<'a>(cameras: impl Iterator<Item = &'a Camera>) -> f64 {
 #[cfg(test)]
 mod tests {
     use glam::{DMat3, DVec3};
+    use srflow_core::Size;
 
     use super::*;
 
@@ -48,7 +49,8 @@ mod tests {
 
     #[test]
     fn the_extent_is_that_of_the_cameras_around_their_mean() {
-        let at = |x: f64| Camera::centred((4, 4), [4.0; 2]).placed(DMat3::IDENTITY, DVec3::new(x, 5.0, 0.0));
+        let camera = Camera::centred(Size::new(4, 4), [4.0; 2]);
+        let at = |x: f64| camera.placed(DMat3::IDENTITY, DVec3::new(x, 5.0, 0.0));
         let cameras = [at(0.0), at(1.0), at(5.0)];
         assert!((camera_extent(cameras.iter()) - 1.1 * 3.0).abs() < 1e-12);
         assert_eq!(camera_extent([].iter()), 0.0);

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 use srflow_splat::{Frame, Gaussians, Rasterizer};
 
 use super::image_loss::{ImageLoss, ImageLossError};
@@ -28,11 +28,11 @@ impl Score {
     /// The scores of a `rendered` picture, clamped to 0..1, against `target`.
     ///
     /// # Errors
-    /// When a picture does not have `width * height` pixels.
+    /// When a picture does not have `size`.
     pub fn of(
         rendered: &[[f32; 3]],
         target: &[[f32; 3]],
-        size: (usize, usize),
+        size: Size,
         loss: &mut ImageLoss,
     ) -> Result<Self, ImageLossError> {
         let clamped: Vec<[f32; 3]> = rendered.iter().map(|pixel| pixel.map(|x| x.clamp(0.0, 1.0))).collect();
@@ -94,7 +94,7 @@ impl Scorer {
     ) -> Result<Score, TrainError> {
         self.draw(avatar, pose, capture, view)?;
         let Self { frame, picture, loss, .. } = self;
-        Ok(Score::of(&frame.color, picture, (frame.width, frame.height), loss)?)
+        Ok(Score::of(&frame.color, picture, Size::new(frame.width, frame.height), loss)?)
     }
 
     /// Reads the picture and renders the avatar.
@@ -235,12 +235,12 @@ mod tests {
         let target = [[0.5, 0.5, 0.5]; 12];
         // Errors 0.1, 0.01 and 0.5 (clamped from more): 20, 40 and 6.02 dB.
         let rendered = [[0.6, 0.49, 1.7]; 12];
-        let found = Score::of(&rendered, &target, (4, 3), &mut ImageLoss::default()).unwrap();
+        let found = Score::of(&rendered, &target, Size::new(4, 3), &mut ImageLoss::default()).unwrap();
         let whole = -10.0 * ((0.01 + 0.0001 + 0.25) / 3.0_f64).log10();
         assert!((found.psnr - whole).abs() < 1e-4, "{found:?}");
         assert!((found.psnr_channels - (20.0 + 40.0 + 6.0206) / 3.0).abs() < 1e-3, "{found:?}");
         assert!(found.ssim < 1.0);
-        let same = Score::of(&target, &target, (4, 3), &mut ImageLoss::default()).unwrap();
+        let same = Score::of(&target, &target, Size::new(4, 3), &mut ImageLoss::default()).unwrap();
         assert!(same.psnr == f64::INFINITY && (same.ssim - 1.0).abs() < 1e-6);
         assert_eq!(Score::mean(&[found, found]), Some(found));
         assert_eq!(Score::mean(&[]), None);

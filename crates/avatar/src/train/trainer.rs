@@ -225,7 +225,7 @@ impl Trainer {
 
         let Self { config, avatar, buffers, .. } = self;
         let camera = view.camera_for(config.faithful);
-        let size = (camera.width, camera.height);
+        let size = camera.size();
         let timestep = view.timestep_place(&self.timesteps);
         let pose = &self.poses[timestep];
         avatar.gaussians_into(pose, &mut buffers.head, &mut buffers.world);
@@ -482,6 +482,7 @@ pub(super) fn picture(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use srflow_core::Size;
 
     #[test]
     fn fingerprints_have_a_version_and_change_with_the_parameters() {
@@ -489,7 +490,7 @@ mod tests {
             split: CaptureSplit::Train,
             timestep: 1,
             camera_index: 8,
-            camera: Camera::centred((4, 6), [1.5, 2.5]),
+            camera: Camera::centred(Size::new(4, 6), [1.5, 2.5]),
             image: "images/a.png".into(),
             mask: None,
             parameters: Some("a.npz".into()),

@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use srflow_avatar::fit::LandmarkView;
+use srflow_core::Size;
 use srflow_core::random::Key;
 use srflow_head::{HeadModel, HeadPoints, HeadState, Look, Motion, Region};
 use srflow_splat::Camera;
@@ -32,7 +33,7 @@ pub fn cameras(count: usize) -> Vec<Camera> {
         let right = forward.cross(DVec3::Y).normalize();
         let axes = DMat3::from_cols(right, forward.cross(right), forward);
         let position = DVec3::new(0.0, 0.0, 0.05) + away * 1.1;
-        Camera::centred((550, 802), [2050.0, 2050.0]).placed(axes, position)
+        Camera::centred(Size::new(550, 802), [2050.0, 2050.0]).placed(axes, position)
     };
     (0..count).map(camera).collect()
 }

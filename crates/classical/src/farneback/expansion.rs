@@ -1,7 +1,7 @@
 //! Polynomial expansion: around each pixel the image is fitted by `d^T A d + b^T d + c`, `d` the offset in pixels.
 
 use rayon::prelude::*;
-use srflow_core::Plane;
+use srflow_core::{Plane, Size};
 
 use srflow_simd::multiversioned;
 
@@ -88,7 +88,7 @@ const ROWS_PER_TASK: usize = 16;
 impl Expansion {
     /// Fits every pixel of `image`, whose border pixels are repeated outside.
     pub fn of(image: &Plane, kernel: &ExpansionKernel) -> Self {
-        let (width, height) = image.size();
+        let Size { width, height } = image.size();
         let mut coefficients = vec![0.0; width * height * COEFFICIENTS + PADDING];
         let (pixels, _) = coefficients.split_at_mut(width * height * COEFFICIENTS);
         let band_len = (width * COEFFICIENTS * ROWS_PER_TASK).max(1);

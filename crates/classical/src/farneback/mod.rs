@@ -14,7 +14,7 @@ mod window;
 use serde::Serialize;
 use srflow_core::resize::{resize_linear_of_two, shrink_area};
 use srflow_core::{
-    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, check_frame_sizes,
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Size, check_frame_sizes,
     forward_interpolate, luminance,
 };
 
@@ -121,7 +121,7 @@ impl Farneback {
     fn between(&self, first: &Expanded, second: &Expanded, initial: Option<&FlowField>) -> FlowField {
         let mut flow: Option<PlanarFlow> = None;
         for ((scale, first), (_, second)) in first.levels.iter().zip(&second.levels).rev() {
-            let size = (first.width, first.height);
+            let size = Size::new(first.width, first.height);
             let start = match (flow, initial) {
                 (Some(coarser), _) => {
                     let gain = (1.0 / self.parameters.pyr_scale) as f32;
@@ -130,15 +130,15 @@ impl Farneback {
                 (None, Some(initial)) => {
                     PlanarFlow::from(initial).map(|plane| shrink_area(plane, size, *scale as f32))
                 }
-                (None, None) => PlanarFlow::zero(size.0, size.1),
+                (None, None) => PlanarFlow::zero(size.width, size.height),
             };
             flow = Some(iterate((first, second), &start, &self.window, self.parameters.iterations));
         }
         flow.map_or_else(|| FlowField::new(0, 0), FlowField::from)
     }
 
-    /// Scale, width and height of each level, the full size first.
-    fn level_sizes(&self, (width, height): (usize, usize)) -> Vec<(f64, (usize, usize))> {
+    /// Scale and size of each level, the full size first.
+    fn level_sizes(&self, Size { width, height }: Size) -> Vec<(f64, Size)> {
         let mut levels = Vec::new();
         let mut scale = 1.0;
         for level in 0..=self.parameters.levels {
@@ -146,7 +146,8 @@ impl Farneback {
             if level > 0 && level_width.min(level_height) < SMALLEST_SIDE {
                 break;
             }
-            let size = (level_width.round_ties_even() as usize, level_height.round_ties_even() as usize);
+            let size =
+                Size::new(level_width.round_ties_even() as usize, level_height.round_ties_even() as usize);
             levels.push((scale, size));
             scale *= self.parameters.pyr_scale;
         }
@@ -156,7 +157,7 @@ impl Farneback {
 
 /// What the method computes of a single frame: its expansion at the scale of each level, the full size first.
 struct Expanded {
-    size: (usize, usize),
+    size: Size,
     levels: Vec<(f64, Expansion)>,
 }
 

@@ -1,13 +1,13 @@
 //! The pyramid: every level is computed from the full-size frame, blurred for that level and then resized.
 
 use rayon::prelude::*;
-use srflow_core::Plane;
 use srflow_core::resize::resize_linear;
+use srflow_core::{Plane, Size};
 
 use srflow_simd::multiversioned;
 
 /// `frame` blurred for `scale` (level pixels per frame pixel) and resized to `size`.
-pub fn level(frame: &Plane, size: (usize, usize), scale: f64) -> Plane {
+pub fn level(frame: &Plane, size: Size, scale: f64) -> Plane {
     let blurred = blur(frame, &blur_kernel(scale));
     if frame.size() == size { blurred } else { resize_linear(&blurred, size, 1.0) }
 }
@@ -39,7 +39,7 @@ const ROWS_PER_TASK: usize = 32;
 /// Farneback's iterations magnify the last bit of their input, so matching OpenCV's results requires its rounding: products
 /// are fused into sums in the order of its filters, except in the remainder columns of its vectors of 8.
 pub fn blur(frame: &Plane, kernel: &[f32]) -> Plane {
-    let (width, height) = frame.size();
+    let Size { width, height } = frame.size();
     let radius = kernel.len() / 2;
     let fused = if kernel.len() <= SHORT_KERNEL { width } else { width - width % 8 };
     let mut across = Plane::new(width, height);

@@ -1,6 +1,6 @@
 //! The kernels of the method as plain scalar code over the whole image: the fast kernels must match them bit for bit.
 
-use srflow_core::Plane;
+use srflow_core::{Plane, Size};
 
 use super::evidence::border_weight;
 use super::expansion::ExpansionKernel;
@@ -10,7 +10,7 @@ use crate::planar::PlanarFlow;
 
 /// Separable convolution with a symmetric kernel, fused except in the remainder columns of vectors of 8.
 pub fn blur(frame: &Plane, kernel: &[f32]) -> Plane {
-    let (width, height) = frame.size();
+    let Size { width, height } = frame.size();
     let radius = kernel.len() / 2;
     let short = kernel.len() <= 5;
     let multiply_add = |x: usize, value: f32, weight: f32, sum: f32| {
@@ -37,7 +37,7 @@ pub fn blur(frame: &Plane, kernel: &[f32]) -> Plane {
 
 /// The fit at every pixel of `image`, row-major: `b_x`, `b_y`, `A_xx`, `A_yy`, `2 A_xy`.
 pub fn expand(image: &Plane, kernel: &ExpansionKernel) -> Vec<[f32; 5]> {
-    let (width, height) = image.size();
+    let Size { width, height } = image.size();
     let inverse = &kernel.inverse;
     let mut fits = Vec::with_capacity(width * height);
     for y in 0..height {
@@ -84,17 +84,15 @@ type Evidence = [f32; 5];
 
 /// One iteration: a new flow from the fits of both frames and the flow so far.
 pub fn update(first: &[[f32; 5]], second: &[[f32; 5]], flow: &PlanarFlow, window: &Window) -> PlanarFlow {
-    let (width, height) = flow.u.size();
-    let evidence: Vec<Evidence> = (0..width * height)
+    let size = flow.u.size();
+    let evidence: Vec<Evidence> = (0..size.pixels())
         .map(|i| {
-            let (x, y) = (i % width, i / width);
-            compare_fits(first[i], second, (width, height), (x, y), [flow.u.get(x, y), flow.v.get(x, y)])
+            let (x, y) = (i % size.width, i / size.width);
+            compare_fits(first[i], second, size, (x, y), [flow.u.get(x, y), flow.v.get(x, y)])
         })
         .collect();
-    let mut updated = PlanarFlow::zero(width, height);
-    for (i, [g_yy, g_xy, g_xx, h_y, h_x]) in
-        average(&evidence, (width, height), window).into_iter().enumerate()
-    {
+    let mut updated = PlanarFlow::zero(size.width, size.height);
+    for (i, [g_yy, g_xy, g_xx, h_y, h_x]) in average(&evidence, size, window).into_iter().enumerate() {
         let inverse = 1.0 / (g_yy * g_xx - g_xy * g_xy + 1e-3);
         updated.u.pixels_mut()[i] = ((g_yy * h_x - g_xy * h_y) * inverse) as f32;
         updated.v.pixels_mut()[i] = ((g_xx * h_y - g_xy * h_x) * inverse) as f32;
@@ -106,7 +104,7 @@ pub fn update(first: &[[f32; 5]], second: &[[f32; 5]], flow: &PlanarFlow, window
 fn compare_fits(
     [x1, y1, xx1, yy1, xy1]: [f32; 5],
     second: &[[f32; 5]],
-    (width, height): (usize, usize),
+    Size { width, height }: Size,
     (x, y): (usize, usize),
     [u, v]: [f32; 2],
 ) -> Evidence {
@@ -137,15 +135,15 @@ fn compare_fits(
 }
 
 /// The average over the window around every pixel; outside the image the border is repeated.
-fn average(evidence: &[Evidence], (width, height): (usize, usize), window: &Window) -> Vec<[f64; 5]> {
-    let radius = window.radius;
+fn average(evidence: &[Evidence], size: Size, window: &Window) -> Vec<[f64; 5]> {
+    let (Size { width, height }, radius) = (size, window.radius);
     match &window.weighting {
         Weighting::Box { scale } => {
-            let down = column_sums(evidence, (width, height), radius);
+            let down = column_sums(evidence, size, radius);
             let at = |y: usize, i: usize, channel: usize| {
                 down[y * width + i.saturating_sub(radius).min(width - 1)][channel]
             };
-            (0..width * height)
+            (0..size.pixels())
                 .map(|i| {
                     let (x, y) = (i % width, i / width);
                     [0, 1, 2, 3, 4].map(|c| scale * sum_of_powers(&|i| at(y, i, c), x, 2 * radius + 1))
@@ -161,10 +159,10 @@ fn average(evidence: &[Evidence], (width, height): (usize, usize), window: &Wind
                     })
                 })
             };
-            let down: Vec<Evidence> = (0..width * height)
+            let down: Vec<Evidence> = (0..size.pixels())
                 .map(|i| weighted(i / width, height, &|y| evidence[y * width + i % width]))
                 .collect();
-            (0..width * height)
+            (0..size.pixels())
                 .map(|i| weighted(i % width, width, &|x| down[i / width * width + x]).map(f64::from))
                 .collect()
         }
@@ -173,7 +171,7 @@ fn average(evidence: &[Evidence], (width, height): (usize, usize), window: &Wind
 
 /// Sums down each column of the window around each row. The window slides: the row that leaves is subtracted and the row
 /// that enters is added, as one difference in single precision.
-fn column_sums(evidence: &[Evidence], (width, height): (usize, usize), radius: usize) -> Vec<[f64; 5]> {
+fn column_sums(evidence: &[Evidence], Size { width, height }: Size, radius: usize) -> Vec<[f64; 5]> {
     let mut all = vec![[0.0; 5]; width * height];
     for x in 0..width {
         let row = |y: usize| evidence[y.min(height - 1) * width + x];

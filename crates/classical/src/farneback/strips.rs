@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use srflow_core::Plane;
+use srflow_core::{Plane, Size};
 
 use crate::planar::PlanarFlow;
 
@@ -36,7 +36,7 @@ impl Strip {
 impl StripedFlow {
     /// Cuts a flow into about `count` strips.
     pub fn cut(flow: &PlanarFlow, count: usize) -> Self {
-        let (width, height) = flow.u.size();
+        let Size { width, height } = flow.u.size();
         let strip_width = width.div_ceil(count.max(1)).max(NARROWEST);
         let strip = |start: usize| {
             let width = strip_width.min(width - start);

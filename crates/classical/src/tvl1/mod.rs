@@ -13,7 +13,7 @@ mod warp;
 
 use srflow_core::resize::{resize_linear, resize_linear_by};
 use srflow_core::{
-    EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, Plane, check_frame_sizes, luminance,
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, Plane, Size, check_frame_sizes, luminance,
 };
 
 use crate::ParameterError;
@@ -88,7 +88,7 @@ impl TvL1 {
             if width.min(height) < SMALLEST_SIDE {
                 break;
             }
-            let coarser = resize_linear_by(finer, (width, height), 1.0 / step, 1.0);
+            let coarser = resize_linear_by(finer, Size { width, height }, 1.0 / step, 1.0);
             scales.push(coarser);
         }
         scales

@@ -1,6 +1,6 @@
 //! The kernels of the method as plain scalar code over the whole image: the fast kernels must match them bit for bit.
 
-use srflow_core::Plane;
+use srflow_core::{Plane, Size};
 
 use super::relaxation::{Constants, LANES};
 use super::warp::{INVERSE_OF_NOTHING, cubic_weights};
@@ -14,7 +14,7 @@ pub struct Residual {
 }
 
 pub fn linearize(first: &Plane, second: &Plane, flow: &PlanarFlow) -> Residual {
-    let (width, height) = first.size();
+    let Size { width, height } = first.size();
     let along = Plane::from_fn(width, height, |x, y| {
         0.5 * (second.get((x + 1).min(width - 1), y) - second.get(x.saturating_sub(1), y))
     });
@@ -59,14 +59,14 @@ pub struct Component {
 
 impl Component {
     pub fn new(value: Plane) -> Self {
-        let (width, height) = value.size();
+        let Size { width, height } = value.size();
         Self { value, dual: [Plane::new(width, height), Plane::new(width, height)] }
     }
 }
 
 /// One iteration. Returns the squared change of all values, summed lane by lane along each row.
 pub fn iterate(components: &mut [Component], residual: &Residual, constants: Constants) -> f64 {
-    let (width, height) = residual.x.size();
+    let Size { width, height } = residual.x.size();
     let pull = pull(components, residual, constants);
     let mut change = 0.0;
     for y in 0..height {
@@ -108,7 +108,7 @@ pub fn iterate(components: &mut [Component], residual: &Residual, constants: Con
 
 /// How far the residual moves each pixel along its gradient: to zero, or as far as the threshold allows.
 fn pull(components: &[Component], residual: &Residual, constants: Constants) -> Plane {
-    let (width, height) = residual.x.size();
+    let Size { width, height } = residual.x.size();
     Plane::from_fn(width, height, |x, y| {
         let (along, down) = (residual.x.get(x, y), residual.y.get(x, y));
         let (u, v) = (components[0].value.get(x, y), components[1].value.get(x, y));
@@ -124,7 +124,7 @@ fn pull(components: &[Component], residual: &Residual, constants: Constants) -> 
 
 /// The median over `side` x `side` pixels.
 pub fn median(plane: &Plane, side: usize) -> Plane {
-    let (width, height) = plane.size();
+    let Size { width, height } = plane.size();
     let inside = |position: usize, offset: usize, len: usize| {
         (position + offset).saturating_sub(side / 2).min(len - 1)
     };

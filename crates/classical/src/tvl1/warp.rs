@@ -1,7 +1,7 @@
 //! Warping the second frame by the flow, and the residual around it to first order.
 
 use rayon::prelude::*;
-use srflow_core::Plane;
+use srflow_core::{Plane, Size};
 
 use super::state::{Linearized, MARGIN, State, rows_per_task};
 use srflow_simd::multiversioned;
@@ -25,7 +25,7 @@ pub struct Warper {
 
 impl Warper {
     pub fn new(frame: &Plane) -> Self {
-        let (width, height) = frame.size();
+        let Size { width, height } = frame.size();
         let row_len = (width + 2 * BORDER) * CHANNELS;
         let mut pixels = vec![0.0; row_len * (height + 2 * BORDER)];
         let inside = &mut pixels[BORDER * row_len..(BORDER + height) * row_len];

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
-use srflow_core::{FlowEstimator, FlowField, Image};
+use srflow_core::{FlowEstimator, FlowField, Image, Size};
 use srflow_files::{read_flow, read_image};
 
 /// `(a, b, offset, half period, amplitude)` of triangle waves over positions in 1/256 pixel.
@@ -34,7 +34,8 @@ fn golden(name: &str) -> PathBuf {
 /// Mean distance in pixels between `flow` and OpenCV's, which holds every `step`-th pixel.
 fn distance(flow: &FlowField, name: &str, step: usize) -> f32 {
     let opencv = read_flow(&golden(&format!("{name}.npy"))).unwrap();
-    assert_eq!(opencv.size(), (flow.width().div_ceil(step), flow.height().div_ceil(step)), "{name}");
+    let parts = Size::new(flow.width().div_ceil(step), flow.height().div_ceil(step));
+    assert_eq!(opencv.size(), parts, "{name}");
     let mut sum = 0.0;
     for y in 0..opencv.height() {
         for x in 0..opencv.width() {

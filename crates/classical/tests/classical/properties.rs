@@ -2,7 +2,7 @@
 
 use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
 use srflow_core::random::Key;
-use srflow_core::{EstimateError, FlowEstimator, FlowField, Image, forward_interpolate};
+use srflow_core::{FlowEstimator, FlowField, Image, Size, forward_interpolate};
 
 fn estimators() -> Vec<Box<dyn FlowEstimator>> {
     let farneback = |parameters| Box::new(Farneback::new(parameters).unwrap()) as Box<dyn FlowEstimator>;
@@ -71,7 +71,7 @@ fn any_size_gives_finite_flow_of_that_size() {
     for estimator in estimators() {
         for (width, height) in sizes {
             let flow = estimator.estimate(&noise(width, height, 1), &noise(width, height, 2)).unwrap();
-            assert_eq!(flow.size(), (width, height));
+            assert_eq!(flow.size(), Size { width, height });
             assert!(
                 flow.pixels().iter().flatten().all(|x| x.is_finite()),
                 "{} {width}x{height}",
@@ -85,13 +85,11 @@ fn any_size_gives_finite_flow_of_that_size() {
 fn frames_of_different_sizes_are_an_error() {
     for estimator in estimators() {
         let error = estimator.estimate(&noise(20, 30, 1), &noise(30, 20, 1)).unwrap_err();
-        assert!(
-            matches!(error, EstimateError::SizeMismatch { first: (20, 30), second: (30, 20) }),
-            "{error}"
-        );
+        let expected = "the frames differ in size: the first is 20x30, the second 30x20 (WIDTHxHEIGHT)";
+        assert_eq!(error.to_string(), expected);
         let frame = noise(20, 30, 1);
         let error = estimator.estimate_from(&frame, &frame, &FlowField::new(20, 31)).unwrap_err();
-        assert!(matches!(error, EstimateError::SizeMismatch { second: (20, 31), .. }), "{error}");
+        assert!(error.to_string().contains("the second 20x31"), "{error}");
     }
 }
 

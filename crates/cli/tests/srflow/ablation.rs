@@ -5,13 +5,14 @@ use std::process::{Command, Output};
 use std::time::SystemTime;
 
 use serde_json::Value;
+use srflow_core::Size;
 
 use crate::frames::write_pairs;
 
 /// Pairs for training and a pair to score on.
 fn make_data(folder: &Path) -> String {
-    write_pairs(&folder.join("train"), 2, (72, 64), 1.5);
-    write_pairs(&folder.join("test"), 1, (72, 64), 1.5);
+    write_pairs(&folder.join("train"), 2, Size::new(72, 64), 1.5);
+    write_pairs(&folder.join("test"), 1, Size::new(72, 64), 1.5);
     format!("folder:{}", folder.display())
 }
 
@@ -108,7 +109,7 @@ fn the_table_stands_beside_the_papers_and_a_stopped_run_goes_on() {
     let without = command(&data, &stopped, "control", &[]).output().unwrap();
     let error = String::from_utf8(without.stderr).unwrap();
     assert!(!without.status.success() && error.contains("--control"), "{error}");
-    write_pairs(&folder.path().join("other/train"), 2, (72, 64), 0.5);
+    write_pairs(&folder.path().join("other/train"), 2, Size::new(72, 64), 0.5);
     let other = format!("folder:{}", folder.path().join("other").display());
     let (faces, others) = (format!("{data}@test"), format!("{other}@train"));
     let more = ["--json", "--weights", weights.to_str().unwrap(), "--control", &other, "--test", &faces];

@@ -7,6 +7,7 @@ use std::sync::OnceLock;
 
 use srflow_avatar::Avatar;
 use srflow_avatar::capture::{Capture, HeadRecord};
+use srflow_core::Size;
 use srflow_files::read_image;
 use srflow_head::HeadParameters;
 
@@ -89,7 +90,7 @@ fn the_true_head_scores_like_itself() {
         let found: Vec<PathBuf> =
             panels.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(name)).collect();
         assert!(!found.is_empty(), "{name}");
-        assert_eq!(read_image(&found[0]).unwrap().size(), (330, 160));
+        assert_eq!(read_image(&found[0]).unwrap().size(), Size::new(330, 160));
     }
     let page = fs::read_to_string(out.path().join("report.html")).unwrap();
     assert!(page.contains("Flow of the avatar") && page.contains("held-out camera"));

@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 use srflow_files::{read_image, write_image_png};
 
 use crate::{refuses, succeeds};
@@ -184,7 +184,7 @@ fn a_trained_avatar_is_scored_shown_and_opened() {
         assert!(page.contains(text), "{text}");
     }
     let preview = read_image(&run.join("preview.png")).unwrap();
-    assert_eq!(preview.size(), (2 * 69, 100));
+    assert_eq!(preview.size(), Size::new(2 * 69, 100));
     // Truth on the left, the rendering, which is near it, on the right.
     let difference = |(x, y): (usize, usize)| {
         let (a, b) = (preview.get(x, y), preview.get(x + 69, y));

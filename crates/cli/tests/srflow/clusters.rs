@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 
 use serde_json::{Value, json as value};
 
-use srflow_core::FlowField;
+use srflow_core::{FlowField, Size};
 use srflow_files::{RunLock, write_flow};
 
 use crate::frames::{write_frames, write_pairs};
@@ -187,7 +187,7 @@ fn parts_of_scenes_and_of_clips_merge_too() {
 fn an_evaluation_is_divided_and_continued() {
     let dir = tempfile::tempdir().unwrap();
     let data = dir.path().join("pairs");
-    write_pairs(&data, 7, (48, 40), 1.5);
+    write_pairs(&data, 7, Size::new(48, 40), 1.5);
     let eval = |out: &str, more: &[&str]| {
         let mut command = crate::srflow();
         command.args(["eval", "--json", "--method", "farneback", "tvl1", "--small-motion", "2"]);
@@ -238,7 +238,7 @@ fn several_sequences_are_divided() {
     let dir = tempfile::tempdir().unwrap();
     let folders = ["anna", "ben", "carl"].map(|name| dir.path().join(name));
     for folder in &folders {
-        write_frames(folder, 0..3, (32, 24));
+        write_frames(folder, 0..3, Size::new(32, 24));
     }
     let out = dir.path().join("flows");
     let flow = |more: &[&str]| {

@@ -5,18 +5,18 @@ use std::path::Path;
 use std::process::Output;
 
 use serde_json::Value;
-use srflow_core::{Labels, Mask};
+use srflow_core::{Labels, Mask, Size};
 use srflow_files::{write_labels_png, write_mask_png};
 
 use crate::frames::{write_frames, write_pairs};
 use crate::{json, refuses, succeeds};
 
-const SIZE: (usize, usize) = (120, 96);
+const SIZE: Size = Size::new(120, 96);
 const SHIFT: f32 = 3.0;
 
 fn make_pairs(dir: &Path, count: usize) {
     write_pairs(dir, count, SIZE, SHIFT);
-    let head = Mask::from_fn(SIZE.0, SIZE.1, |x, y| (30..90).contains(&x) && (20..80).contains(&y));
+    let head = Mask::from_fn(SIZE.width, SIZE.height, |x, y| (30..90).contains(&x) && (20..80).contains(&y));
     for pair in 0..count {
         write_mask_png(&dir.join(format!("p{pair}_mask.png")), &head).unwrap();
     }
@@ -73,9 +73,11 @@ fn scores_by_region_are_printed_and_written() {
     ];
     let arguments_of_parts = ["--dataset", &dataset, "--method", "farneback", "--expression-error"];
     refuses(&eval(&arguments_of_parts), 1, &parts);
-    let map = Labels::from_fn(SIZE.0, SIZE.1, |x, y| match ((30..90).contains(&x), (20..80).contains(&y)) {
-        (true, true) => 1 + (x / 12 % 5) as u8,
-        _ => 0,
+    let map = Labels::from_fn(SIZE.width, SIZE.height, |x, y| {
+        match ((30..90).contains(&x), (20..80).contains(&y)) {
+            (true, true) => 1 + (x / 12 % 5) as u8,
+            _ => 0,
+        }
     });
     for pair in 0..2 {
         write_labels_png(&dir.path().join(format!("p{pair}_regions.png")), &map).unwrap();

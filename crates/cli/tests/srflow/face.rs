@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 use srflow_files::{read_flow, read_image, write_image_png};
 
 use crate::frames::{write_frames, write_pairs};
@@ -20,7 +20,7 @@ const EYES: &str = "left_eye_x,left_eye_y,right_eye_x,right_eye_y";
 fn landmarks_and_boxes_cut_the_frames_of_a_sequence_alike() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    write_frames(dir, 0..3, (160, 120));
+    write_frames(dir, 0..3, Size::new(160, 120));
     // 32 px apart on a level line: a square of 80, from 24 left of the left eye and 28.8 above.
     fs::write(dir.join("face.csv"), format!("{EYES}\n64,58.8,96,58.8\n")).unwrap();
     let flow = |more: &[&str]| {
@@ -46,7 +46,7 @@ fn landmarks_and_boxes_cut_the_frames_of_a_sequence_alike() {
 fn pairs_are_scored_in_the_box_about_their_face() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    write_pairs(&dir.join("set"), 2, (160, 120), 1.5);
+    write_pairs(&dir.join("set"), 2, Size::new(160, 120), 1.5);
     fs::write(dir.join("faces.csv"), format!("pair,{EYES}\np0,64,58,96,58\np1,20,40,52,40\n")).unwrap();
     let eval = |more: &[&str]| {
         srflow(dir, &[&["eval", "--dataset", "folder:set", "--method", "farneback"], more].concat())
@@ -69,7 +69,7 @@ fn pairs_are_scored_in_the_box_about_their_face() {
 fn networks_that_are_missing_or_others_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
-    write_frames(dir, 0..2, (64, 48));
+    write_frames(dir, 0..2, Size::new(64, 48));
     let flow = |more: &[&str]| {
         let arguments = ["flow", "--method", "farneback", "0.png", "1.png", "-o", "flow.flo"];
         srflow(dir, &[&arguments, more].concat())
@@ -216,7 +216,7 @@ fn of_several_faces_one_is_chosen_and_none_is_said() {
         let nose = rows(&dir.join("flow.landmarks.csv"), 0)[0].1[30];
         assert_eq!(nose[0] < 224.0, left, "{nose:?}");
         let size = read_flow(&dir.join("flow.flo")).unwrap().size();
-        assert!(size.0 == size.1 && (100..300).contains(&size.0), "{size:?}");
+        assert!(size.width == size.height && (100..300).contains(&size.width), "{size:?}");
     }
 }
 

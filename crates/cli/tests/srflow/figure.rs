@@ -4,13 +4,13 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use srflow_core::{FlowField, flow_colors};
+use srflow_core::{FlowField, Size, flow_colors};
 use srflow_files::{read_image, write_flow};
 
 use crate::frames::{waves, write_pairs};
 use crate::{json, refuses, succeeds};
 
-const SIZE: (usize, usize) = (96, 72);
+const SIZE: Size = Size::new(96, 72);
 
 fn figure(dir: &Path, arguments: &[&str]) -> Output {
     crate::srflow().arg("figure").args(arguments).current_dir(dir).output().expect("srflow runs")
@@ -20,9 +20,9 @@ fn figure(dir: &Path, arguments: &[&str]) -> Output {
 fn pairs() -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     write_pairs(&dir.path().join("set"), 3, SIZE, 2.0);
-    let flow = FlowField::from_fn(SIZE.0, SIZE.1, |x, y| [x as f32 / 40.0, y as f32 / -60.0]);
+    let flow = FlowField::from_fn(SIZE.width, SIZE.height, |x, y| [x as f32 / 40.0, y as f32 / -60.0]);
     write_flow(&dir.path().join("a.flo"), &flow).unwrap();
-    write_flow(&dir.path().join("b.npy"), &FlowField::filled(SIZE.0, SIZE.1, [1.0, 0.5])).unwrap();
+    write_flow(&dir.path().join("b.npy"), &FlowField::filled(SIZE.width, SIZE.height, [1.0, 0.5])).unwrap();
     dir
 }
 
@@ -51,7 +51,7 @@ fn a_dataset_becomes_a_figure_and_panels() {
         read_image(&dir.path().join("set/p2_img1.png")).unwrap()
     );
     let truth = read_image(&dir.path().join("panels/01-p2-truth.png")).unwrap();
-    assert_eq!(truth, flow_colors(&FlowField::filled(SIZE.0, SIZE.1, [2.0, 0.0]), Some(2.0)));
+    assert_eq!(truth, flow_colors(&FlowField::filled(SIZE.width, SIZE.height, [2.0, 0.0]), Some(2.0)));
     let svg = fs::read_to_string(dir.path().join("fig.svg")).unwrap();
     assert_eq!(svg.matches("<image ").count(), 12 + 2, "the panels, the wheel and the bar");
     for text in ["Ground truth / Frame 1", ">tvl1<", ">Theirs<", ">p2<", ">p0<", "(f) EPE 0.", "radius: 2 px"]
@@ -128,7 +128,7 @@ fn files_of_other_programs_become_a_figure() {
 fn what_cannot_be_shown_is_refused_in_a_sentence() {
     let dir = pairs();
     write_flow(&dir.path().join("small.flo"), &FlowField::new(9, 9)).unwrap();
-    srflow_files::write_image_png(&dir.path().join("wide.png"), &waves((120, 72), 0.0)).unwrap();
+    srflow_files::write_image_png(&dir.path().join("wide.png"), &waves(Size::new(120, 72), 0.0)).unwrap();
     fs::write(dir.path().join("broken.flo"), b"PIEH").unwrap();
     let set = ["--dataset", "folder:set", "--method", "tvl1", "-o", "x.pdf"];
     let frames = ["--frames", "set/p0_img1.png", "set/p0_img2.png", "-o", "x.pdf"];

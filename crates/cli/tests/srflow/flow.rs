@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use srflow_core::{Image, flow_colors};
+use srflow_core::{Image, Size, flow_colors};
 use srflow_files::{read_flow, read_image, write_flow, write_image_png};
 
 use crate::frames::write_frames;
@@ -12,7 +12,7 @@ use crate::{json, notes, refuses, succeeds};
 
 /// How far the waves move from frame to frame.
 const STEP: f64 = 2.0;
-const SIZE: (usize, usize) = (96, 64);
+const SIZE: Size = Size::new(96, 64);
 
 fn flow(folder: &Path, arguments: &[&str]) -> Output {
     let mut command = crate::srflow();
@@ -23,7 +23,7 @@ fn flow(folder: &Path, arguments: &[&str]) -> Output {
 fn mean_flow(file: &Path) -> [f64; 2] {
     let flow = read_flow(file).unwrap();
     assert_eq!(flow.size(), SIZE);
-    let inner = (16..SIZE.1 - 16).flat_map(|y| (16..SIZE.0 - 16).map(move |x| (x, y)));
+    let inner = (16..SIZE.height - 16).flat_map(|y| (16..SIZE.width - 16).map(move |x| (x, y)));
     let vectors: Vec<[f32; 2]> = inner.map(|(x, y)| flow.get(x, y)).collect();
     [0, 1].map(|axis| vectors.iter().map(|v| f64::from(v[axis])).sum::<f64>() / vectors.len() as f64)
 }

@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 
 use burn::tensor::Device;
 use safetensors::tensor::{Dtype, TensorView};
-use srflow_core::{FlowField, Image};
+use srflow_core::{FlowField, Image, Size};
 use srflow_files::{read_flow, read_image, read_npy_plane, write_flow, write_image_png};
 use srflow_nets::Architecture;
 use srflow_nn::parameter_infos;
@@ -15,7 +15,7 @@ use srflow_nn::parameter_infos;
 use crate::frames::{waves, write_frames, write_pairs};
 use crate::{json, notes, refuses, succeeds};
 
-const SIZE: (usize, usize) = (150, 133);
+const SIZE: Size = Size::new(150, 133);
 
 /// Random weights with a variance that preserves the magnitude of activations.
 fn write_weights(path: &Path, architecture: Architecture, seed: u32) {
@@ -258,7 +258,10 @@ fn a_folder_gives_what_its_pairs_give() {
 /// the cut. `srflow eval` on the same frames gives the same flows.
 #[test]
 fn a_network_that_remembers_starts_anew_at_a_cut() {
-    let dark = |image: Image| Image::from_fn(SIZE.0, SIZE.1, |x, y| image.get(x, y).map(|level| level / 8));
+    let dark = |mut image: Image| {
+        image.pixels_mut().as_flattened_mut().iter_mut().for_each(|level| *level /= 8);
+        image
+    };
     let waves = |number: usize| waves(SIZE, 2.0 * number as f32);
     let shots = (0..5).map(|number| if number < 3 { waves(number) } else { dark(waves(number)) });
     for folder in ["shots/frames", "shots/flow"] {
@@ -267,7 +270,7 @@ fn a_network_that_remembers_starts_anew_at_a_cut() {
     for (number, image) in shots.enumerate() {
         write_image_png(&data().join(format!("shots/frames/{number}.png")), &image).unwrap();
         if number < 4 {
-            let truth = FlowField::filled(SIZE.0, SIZE.1, [2.0, 0.0]);
+            let truth = FlowField::filled(SIZE.width, SIZE.height, [2.0, 0.0]);
             write_flow(&data().join(format!("shots/flow/{number}.flo")), &truth).unwrap();
         }
     }
@@ -444,7 +447,7 @@ fn videos_go_through_ffmpeg() {
     fs::create_dir(&dir).unwrap();
     let mut stream = Vec::new();
     for number in 0..3 {
-        stream.extend_from_slice(format!("P6\n{} {}\n255\n", SIZE.0, SIZE.1).as_bytes());
+        stream.extend_from_slice(format!("P6\n{} {}\n255\n", SIZE.width, SIZE.height).as_bytes());
         stream.extend_from_slice(waves(SIZE, 2.0 * number as f32).pixels().as_flattened());
     }
     fs::write(data().join("clip.mp4"), &stream).unwrap();
@@ -470,7 +473,7 @@ fn videos_go_through_ffmpeg() {
     assert_eq!(report["pairs"][1]["frame2"], "clip.mp4 frame 3");
     succeeds(&flow(&["video/0.png", "video/1.png", "-o", "clip-pair.flo"]));
     assert_eq!(compare(&read("clip/000001.flo"), &read("clip-pair.flo")).0, 0.0);
-    assert_eq!(fs::metadata(data().join("colours.mp4")).unwrap().len(), 2 * 3 * (SIZE.0 * SIZE.1) as u64);
+    assert_eq!(fs::metadata(data().join("colours.mp4")).unwrap().len(), 2 * 3 * SIZE.pixels() as u64);
 
     // A stream that begins between two key frames: ffmpeg skips to the first and complains.
     let complains = "for last; do :; done\nif [ \"$last\" = - ]; then cat clip.mp4; echo non-existing PPS 0 referenced >&2; \

@@ -14,7 +14,7 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use srflow_core::is_unprintable;
+use srflow_core::{Size, is_unprintable};
 
 use crate::frames::write_frames;
 use crate::refuses;
@@ -374,7 +374,7 @@ fn nothing_but_regular_files_is_opened() {
 fn a_missing_frame_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let frames = folder.path().join("frames");
-    write_frames(&frames, [1, 3], (24, 16));
+    write_frames(&frames, [1, 3], Size::new(24, 16));
     std::os::unix::fs::symlink("gone.png", frames.join("2.png")).unwrap();
     let run = || {
         let mut command = crate::srflow();
@@ -383,7 +383,7 @@ fn a_missing_frame_is_reported() {
     };
     refuses(&run(), 1, &["2.png: expected a frame"]);
     fs::remove_file(frames.join("2.png")).unwrap();
-    write_frames(&frames, [4], (24, 16));
+    write_frames(&frames, [4], Size::new(24, 16));
     refuses(&run(), 1, &["a frame is missing between"]);
 }
 
@@ -392,7 +392,7 @@ fn a_missing_frame_is_reported() {
 fn flow_into_a_folder_resumes_an_interrupted_run() {
     let folder = tempfile::tempdir().unwrap();
     let frames = folder.path().join("frames");
-    write_frames(&frames, 1..=4, (40, 32));
+    write_frames(&frames, 1..=4, Size::new(40, 32));
     let out = folder.path().join("out");
     let run = |more: &[&str]| {
         let mut command = crate::srflow();

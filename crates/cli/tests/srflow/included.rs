@@ -1,6 +1,7 @@
 //! The network whose weights come with srflow: it is the default, and scores what it scored when the weights were committed.
 
 use serde_json::Value;
+use srflow_core::Size;
 use srflow_files::read_flow;
 
 use crate::frames::write_frames;
@@ -32,7 +33,7 @@ fn the_committed_weights_give_the_committed_scores() {
 #[test]
 fn without_a_method_flow_is_that_of_srflow() {
     let folder = tempfile::tempdir().unwrap();
-    write_frames(folder.path(), 0..2, (96, 64));
+    write_frames(folder.path(), 0..2, Size::new(96, 64));
     let run = |more: &[&str]| {
         let arguments = ["flow", "0.png", "1.png", "-o"];
         srflow().current_dir(folder.path()).args(arguments).args(more).output().unwrap()

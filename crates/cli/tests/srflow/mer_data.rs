@@ -6,6 +6,7 @@ use std::process::Output;
 use std::sync::LazyLock;
 
 use serde_json::Value;
+use srflow_core::Size;
 use srflow_files::{read_image, read_npy};
 
 use crate::{fails, refuses, succeeds};
@@ -180,7 +181,7 @@ fn strain_is_written_as_an_array_and_a_picture() {
     let (strain, features) = (read_npy(&set.join("s.npy")).unwrap(), read_npy(&set.join("f.npy")).unwrap());
     assert_eq!((&strain.shape[..], &features.shape[..]), (&[112, 112][..], &[3, 112, 112][..]));
     assert_eq!(strain.values, features.values[2 * 112 * 112..]);
-    assert_eq!(read_image(&set.join("s.png")).unwrap().size(), (112, 112));
+    assert_eq!(read_image(&set.join("s.png")).unwrap().size(), Size::new(112, 112));
 
     json(set, &[&common[..], &["o.npy", "--formula", "off-tanet"]].concat());
     assert_ne!(read_npy(&set.join("o.npy")).unwrap().values, strain.values);

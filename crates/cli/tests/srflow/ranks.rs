@@ -1,5 +1,7 @@
 //! `srflow train` as one of several processes.
 
+use srflow_core::Size;
+
 use crate::frames::write_pairs;
 
 /// Arguments of a run on batches of three.
@@ -27,7 +29,7 @@ fn a_build_without_mpi_says_so() {
     use crate::refuses;
 
     let dir = tempfile::tempdir().unwrap();
-    write_pairs(dir.path(), 3, (80, 80), 2.0);
+    write_pairs(dir.path(), 3, Size::new(80, 80), 2.0);
     let data = format!("folder:{}", dir.path().display());
     let out = dir.path().join("run");
     let output =
@@ -80,7 +82,7 @@ mod mpi {
 
     fn folders() -> Folders {
         let dir = tempfile::tempdir().unwrap();
-        write_pairs(dir.path(), 7, (80, 80), 2.0);
+        write_pairs(dir.path(), 7, Size::new(80, 80), 2.0);
         let data = format!("folder:{}", dir.path().display());
         let [one, many] = ["one", "many"].map(|name| dir.path().join(name));
         Folders { _dir: dir, data, one, many }

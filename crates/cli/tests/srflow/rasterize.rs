@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
+use srflow_core::Size;
 use srflow_files::{read_flow, read_image, read_mask, read_npy, read_npy_plane};
 use srflow_splat::{Gaussians, write_ply};
 
@@ -49,7 +50,7 @@ fn every_file_is_written_and_the_flow_is_the_motion() {
 
     let out = folder.path().join("out");
     let image = read_image(&out.join("color.png")).unwrap();
-    assert_eq!((image.size(), image.get(0, 0)), ((60, 40), [255, 128, 0]));
+    assert_eq!((image.size(), image.get(0, 0)), (Size::new(60, 40), [255, 128, 0]));
     assert!(image.get(30, 20)[0] > 240 && image.get(30, 20)[1] < 20);
     let color = read_npy(&out.join("color.npy")).unwrap();
     assert_eq!(color.shape, [40, 60, 3]);
@@ -147,7 +148,7 @@ fn a_camera_is_chosen_among_those_of_a_file() {
     let flow = read_flow(&dir.join("views/flow_normalized.flo")).unwrap();
     // The camera moves 0.1 to the right at depth 1: at twice the size 10 px to the left.
     let [u, v] = flow.get(60, 40);
-    assert!(flow.size() == (120, 80) && (u + 10.0).abs() < 1e-3 && v.abs() < 1e-3, "({u}, {v})");
+    assert!(flow.size() == Size::new(120, 80) && (u + 10.0).abs() < 1e-3 && v.abs() < 1e-3, "({u}, {v})");
     let stretched = [&["a.ply", "--out", "none", "--size", "120x120"], &views[..]].concat();
     refuses(&rasterize(dir, &stretched), 2, &["proportions"]);
 }
@@ -161,7 +162,7 @@ fn a_moving_camera_gives_frames_flow_and_masks() {
     let report = json(&rasterize(dir, &[&orbit[..], &["--out", "turn"]].concat()));
     assert_eq!((&report["frames"], &report["width"]), (&3.into(), &80.into()));
     let first = read_image(&dir.join("turn/frames/000001.png")).unwrap();
-    assert_eq!((first.size(), first.get(0, 0)), ((80, 60), [255; 3]));
+    assert_eq!((first.size(), first.get(0, 0)), (Size::new(80, 60), [255; 3]));
     assert!(first.get(40, 30)[0] > first.get(40, 30)[1], "red in the middle");
     assert!(read_mask(&dir.join("turn/mask/000003.png")).is_ok());
     assert!(dir.join("turn/flow/000002.flo").exists() && !dir.join("turn/flow/000003.flo").exists());

@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use serde_json::Value;
+use srflow_core::Size;
 
 use crate::frames::{write_frames, write_pairs};
 use crate::refuses;
 
-const SIZE: (usize, usize) = (96, 80);
+const SIZE: Size = Size::new(96, 80);
 
 fn make_pairs(dir: &Path, count: usize) {
     write_pairs(dir, count, SIZE, 2.0);

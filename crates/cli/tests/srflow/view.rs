@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use srflow_core::Size;
+
 use crate::frames::write_pairs;
 
 fn view(arguments: &[&str], folder: &Path) -> Output {
@@ -17,7 +19,7 @@ fn error_of(output: &Output) -> String {
 #[test]
 fn a_thing_is_found_by_what_it_is() {
     let folder = tempfile::tempdir().unwrap();
-    write_pairs(&folder.path().join("pairs/test"), 2, (72, 64), 1.5);
+    write_pairs(&folder.path().join("pairs/test"), 2, Size::new(72, 64), 1.5);
     let output = view(&["folder:pairs", "--split", "test"], folder.path());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let page = std::fs::read_to_string(folder.path().join("pairs.html")).unwrap();

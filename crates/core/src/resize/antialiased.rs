@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::{FlowField, Image, Plane};
+use crate::{FlowField, Image, Plane, Size};
 
 /// One output pixel reads the input from `first` on, with these weights, which sum to one.
 struct Tap {
@@ -29,18 +29,18 @@ fn taps(input: usize, output: usize) -> Vec<Tap> {
 /// Rows resized to `size`, with `N` numbers per pixel.
 fn resize<T: Copy + Sync, const N: usize>(
     pixels: &[T],
-    from: (usize, usize),
-    size: (usize, usize),
+    from: Size,
+    size: Size,
     numbers: impl Fn(T) -> [f32; N] + Sync,
 ) -> Vec<[f32; N]> {
-    let (across, down) = (taps(from.0, size.0), taps(from.1, size.1));
-    let mut out = vec![[0.0; N]; size.0 * size.1];
-    out.par_chunks_mut(size.0).zip(&down).for_each_init(
-        || vec![[0.0_f32; N]; from.0],
+    let (across, down) = (taps(from.width, size.width), taps(from.height, size.height));
+    let mut out = vec![[0.0; N]; size.pixels()];
+    out.par_chunks_mut(size.width).zip(&down).for_each_init(
+        || vec![[0.0_f32; N]; from.width],
         |column_sums, (row, down)| {
             column_sums.fill([0.0; N]);
             for (y, weight) in down.weights.iter().enumerate() {
-                let input = &pixels[(down.first + y) * from.0..][..from.0];
+                let input = &pixels[(down.first + y) * from.width..][..from.width];
                 for (sum, pixel) in column_sums.iter_mut().zip(input) {
                     let value = numbers(*pixel);
                     (0..N).for_each(|i| sum[i] += weight * value[i]);
@@ -57,12 +57,12 @@ fn resize<T: Copy + Sync, const N: usize>(
 }
 
 /// Resizes an image. An image of the same size or without pixels is returned unchanged.
-pub fn resize_image_antialiased(image: &Image, size: (usize, usize)) -> Image {
+pub fn resize_image_antialiased(image: &Image, size: Size) -> Image {
     if image.size() == size || image.pixels().is_empty() {
         return image.clone();
     }
     let numbers = resize(image.pixels(), image.size(), size, |pixel| pixel.map(f32::from));
-    let mut resized = Image::new(size.0, size.1);
+    let mut resized = Image::new(size.width, size.height);
     for (pixel, value) in resized.pixels_mut().iter_mut().zip(numbers) {
         *pixel = value.map(|channel| (channel + 0.5) as u8);
     }
@@ -70,24 +70,24 @@ pub fn resize_image_antialiased(image: &Image, size: (usize, usize)) -> Image {
 }
 
 /// Resizes a flow, and scales it to pixels of the new size. A flow of the same size or without pixels is returned unchanged.
-pub fn resize_flow_antialiased(flow: &FlowField, size: (usize, usize)) -> FlowField {
+pub fn resize_flow_antialiased(flow: &FlowField, size: Size) -> FlowField {
     if flow.size() == size || flow.pixels().is_empty() {
         return flow.clone();
     }
-    let grow = [size.0 as f32 / flow.width() as f32, size.1 as f32 / flow.height() as f32];
+    let grow = [size.width as f32 / flow.width() as f32, size.height as f32 / flow.height() as f32];
     let numbers = resize(flow.pixels(), flow.size(), size, |[u, v]| [u * grow[0], v * grow[1]]);
-    let mut resized = FlowField::new(size.0, size.1);
+    let mut resized = FlowField::new(size.width, size.height);
     resized.pixels_mut().copy_from_slice(&numbers);
     resized
 }
 
 /// Resizes a plane and multiplies it by `gain`. A plane without pixels is returned unchanged.
-pub fn resize_plane_antialiased(plane: &Plane, size: (usize, usize), gain: f32) -> Plane {
+pub fn resize_plane_antialiased(plane: &Plane, size: Size, gain: f32) -> Plane {
     if plane.pixels().is_empty() {
         return plane.clone();
     }
     let numbers = resize(plane.pixels(), plane.size(), size, |value| [value * gain]);
-    Plane::from_buffer(size.0, size.1, numbers.into_flattened())
+    Plane::from_buffer(size.width, size.height, numbers.into_flattened())
 }
 
 #[cfg(test)]
@@ -99,10 +99,11 @@ mod tests {
     #[test]
     fn resizing_keeps_positions() {
         let flow = FlowField::from_fn(64, 48, |x, y| [x as f32, y as f32]);
-        for size in [(32, 24), (128, 96), (21, 31)] {
+        for size in [Size::new(32, 24), Size::new(128, 96), Size::new(21, 31)] {
             let resized = resize_flow_antialiased(&flow, size);
-            let scale = (64.0 / size.0 as f32, 48.0 / size.1 as f32);
-            for (x, y) in [(size.0 / 2, size.1 / 2), (size.0 / 3, size.1 - size.1 / 4)] {
+            let Size { width, height } = size;
+            let scale = (64.0 / width as f32, 48.0 / height as f32);
+            for (x, y) in [(width / 2, height / 2), (width / 3, height - height / 4)] {
                 let place = [(x as f32 + 0.5) * scale.0 - 0.5, (y as f32 + 0.5) * scale.1 - 0.5];
                 let [u, v] = resized.get(x, y);
                 let found = [u * scale.0, v * scale.1];
@@ -116,10 +117,10 @@ mod tests {
     #[test]
     fn a_smaller_image_does_not_alias() {
         let image = Image::from_fn(64, 8, |x, _| [if x % 2 == 0 { 0 } else { 255 }; 3]);
-        let half = resize_image_antialiased(&image, (32, 4));
+        let half = resize_image_antialiased(&image, Size::new(32, 4));
         assert!(half.pixels().iter().all(|pixel| pixel[0].abs_diff(128) < 40), "{:?}", half.row(2));
         assert_eq!(
-            resize_image_antialiased(&Image::filled(7, 5, [9, 99, 200]), (3, 11)),
+            resize_image_antialiased(&Image::filled(7, 5, [9, 99, 200]), Size::new(3, 11)),
             Image::filled(3, 11, [9, 99, 200])
         );
     }

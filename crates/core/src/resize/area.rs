@@ -1,8 +1,8 @@
-use crate::{FlowField, Plane};
+use crate::{FlowField, Plane, Size};
 
 /// OpenCV's `INTER_AREA` to a smaller or equal size: each output pixel is the mean of the input area that it covers, multiplied by
 /// `gain`.
-pub fn shrink_area(input: &Plane, (width, height): (usize, usize), gain: f32) -> Plane {
+pub fn shrink_area(input: &Plane, Size { width, height }: Size, gain: f32) -> Plane {
     let columns = spans(input.width(), width);
     let rows = spans(input.height(), height);
     Plane::from_fn(width, height, |x, y| {
@@ -16,7 +16,7 @@ pub fn shrink_area(input: &Plane, (width, height): (usize, usize), gain: f32) ->
 
 /// Resizes a flow: each pixel is the mean of the area that it covers (of the nearest pixels when upscaling), in pixels of the new
 /// size.
-pub fn resize_flow_area(flow: &FlowField, (width, height): (usize, usize)) -> FlowField {
+pub fn resize_flow_area(flow: &FlowField, Size { width, height }: Size) -> FlowField {
     let columns = spans(flow.width(), width);
     let rows = spans(flow.height(), height);
     let gain = [width as f32 / flow.width().max(1) as f32, height as f32 / flow.height().max(1) as f32];
@@ -36,8 +36,8 @@ pub fn resize_flow_area(flow: &FlowField, (width, height): (usize, usize)) -> Fl
 
 /// For every output pixel, the mean over the known input pixels in its area, weighted by overlap; row by row.
 pub fn area_means<const N: usize>(
-    from: (usize, usize),
-    to: (usize, usize),
+    from: Size,
+    to: Size,
     value: impl Fn(usize, usize) -> Option<[f32; N]>,
 ) -> Vec<Option<[f32; N]>> {
     // Slivers that are due to rounding alone would make an unknown area known.
@@ -46,8 +46,8 @@ pub fn area_means<const N: usize>(
         spans.iter_mut().for_each(|span| span.retain(|(_, share)| *share > 1e-6));
         spans
     };
-    let (columns, rows) = (spans(from.0, to.0), spans(from.1, to.1));
-    let mut means = Vec::with_capacity(to.0 * to.1);
+    let (columns, rows) = (spans(from.width, to.width), spans(from.height, to.height));
+    let mut means = Vec::with_capacity(to.pixels());
     for row in &rows {
         for column in &columns {
             let (mut sum, mut total) = ([0.0; N], 0.0);
@@ -86,15 +86,15 @@ mod tests {
     fn a_resized_flow_keeps_the_motion_and_its_mean() {
         // Everything moves by a tenth of the width and a twentieth of the height.
         let flow = FlowField::filled(200, 100, [20.0, 5.0]);
-        for size in [(112, 112), (50, 30), (400, 300), (200, 100)] {
-            let resized = resize_flow_area(&flow, size);
-            assert_eq!(resized.size(), size);
+        for (width, height) in [(112, 112), (50, 30), (400, 300), (200, 100)] {
+            let resized = resize_flow_area(&flow, Size { width, height });
+            assert_eq!((resized.width(), resized.height()), (width, height));
             for [u, v] in resized.pixels() {
-                assert!((u - 0.1 * size.0 as f32).abs() < 1e-3 && (v - 0.05 * size.1 as f32).abs() < 1e-3);
+                assert!((u - 0.1 * width as f32).abs() < 1e-3 && (v - 0.05 * height as f32).abs() < 1e-3);
             }
         }
         let ramp = FlowField::from_fn(12, 6, |x, y| [x as f32, y as f32]);
-        let half = resize_flow_area(&ramp, (6, 3));
+        let half = resize_flow_area(&ramp, Size::new(6, 3));
         assert!(half.pixels().iter().enumerate().all(|(at, [u, v])| {
             let (x, y) = (at % 6, at / 6);
             (u - (x as f32 + 0.25)).abs() < 1e-5 && (v - (y as f32 + 0.25)).abs() < 1e-5

@@ -1,4 +1,4 @@
-use crate::Image;
+use crate::{Image, Size};
 
 /// One output pixel along one axis: four input pixels and their weights.
 struct CubicTap {
@@ -11,7 +11,7 @@ struct CubicTap {
 /// 11-bit weights, which changes one value in twenty by 1.)
 ///
 /// An image without pixels is returned unchanged.
-pub fn resize_cubic(image: &Image, (width, height): (usize, usize)) -> Image {
+pub fn resize_cubic(image: &Image, Size { width, height }: Size) -> Image {
     if image.width() == 0 || image.height() == 0 {
         return image.clone();
     }
@@ -69,7 +69,7 @@ mod tests {
     #[test]
     fn the_same_size_is_the_same_picture() {
         let image = Image::from_fn(9, 5, |x, y| [(x * 20) as u8, (y * 50) as u8, 7]);
-        assert_eq!(resize_cubic(&image, (9, 5)), image);
-        assert_eq!(resize_cubic(&Image::new(0, 4), (3, 3)).size(), (0, 4));
+        assert_eq!(resize_cubic(&image, Size::new(9, 5)), image);
+        assert_eq!(resize_cubic(&Image::new(0, 4), Size::new(3, 3)).size(), Size::new(0, 4));
     }
 }

@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 use srflow_simd::multiversioned;
 
-use crate::{FlowField, Image, Mask, Plane};
+use crate::{FlowField, Image, Mask, Plane, Size};
 
 /// The sources of one output pixel along one axis: `near` and `far`, blended by `weight`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -122,23 +122,22 @@ enum Rounding {
 /// Rows that one task resizes: neighbouring output rows share horizontally resized input rows.
 const ROWS_PER_TASK: usize = 32;
 
-/// `INTER_LINEAR` of one channel to `width` x `height`, multiplied by `gain`.
-pub fn resize_linear(input: &Plane, (width, height): (usize, usize), gain: f32) -> Plane {
-    let scale = scales(input, (width, height));
-    resize(input, (width, height), scale, gain, Rounding::Fused)
+/// `INTER_LINEAR` of one channel to `size`, multiplied by `gain`.
+pub fn resize_linear(input: &Plane, size: Size, gain: f32) -> Plane {
+    resize(input, size, scales(input, size), gain, Rounding::Fused)
 }
 
 /// [`resize_linear`] with an explicit scale (input pixels per output pixel) instead of the ratio of the sizes.
-pub fn resize_linear_by(input: &Plane, size: (usize, usize), scale: f64, gain: f32) -> Plane {
+pub fn resize_linear_by(input: &Plane, size: Size, scale: f64, gain: f32) -> Plane {
     resize(input, size, (scale, scale), gain, Rounding::Fused)
 }
 
 /// [`resize_linear`] as OpenCV computes it for pixels with two channels.
-pub fn resize_linear_of_two(input: &Plane, size: (usize, usize), gain: f32) -> Plane {
+pub fn resize_linear_of_two(input: &Plane, size: Size, gain: f32) -> Plane {
     resize(input, size, scales(input, size), gain, Rounding::Plain)
 }
 
-fn scales(input: &Plane, (width, height): (usize, usize)) -> (f64, f64) {
+fn scales(input: &Plane, Size { width, height }: Size) -> (f64, f64) {
     (input.width() as f64 / width as f64, input.height() as f64 / height as f64)
 }
 
@@ -166,7 +165,7 @@ fn taps(input_len: usize, output_len: usize, scale: f64, rounding: Rounding) -> 
 
 fn resize(
     input: &Plane,
-    (width, height): (usize, usize),
+    Size { width, height }: Size,
     scale: (f64, f64),
     gain: f32,
     rounding: Rounding,

@@ -1,5 +1,6 @@
 use std::path::PathBuf;
 
+use srflow_core::Size;
 use srflow_files::FileError;
 use srflow_pack::ReadError;
 
@@ -29,9 +30,8 @@ pub enum DatasetError {
     #[error("{}: {reason}", .path.display())]
     Format { path: PathBuf, reason: String },
     /// A file of a pair has another size than frame 1.
-    #[error("{}: expected {}x{} (WIDTHxHEIGHT) to go with {}, found {}x{}", .path.display(), .expected.0, .expected.1,
-        .frame.display(), .found.0, .found.1)]
-    SizeMismatch { path: PathBuf, found: (usize, usize), frame: PathBuf, expected: (usize, usize) },
+    #[error("{}: expected {expected} (WIDTHxHEIGHT) to go with {}, found {found}", .path.display(), .frame.display())]
+    SizeMismatch { path: PathBuf, found: Size, frame: PathBuf, expected: Size },
     /// A picture or flow could not be read.
     #[error(transparent)]
     File(#[from] FileError),

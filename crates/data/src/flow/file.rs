@@ -5,7 +5,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use srflow_core::{FlowField, Image, Labels, Mask, Plane};
+use srflow_core::{FlowField, Image, Labels, Mask, Plane, Size};
 use srflow_files::{
     Array, FileBytes, FileError, read_flow, read_grey16, read_image, read_image_size, read_labels, read_mask,
     read_npy,
@@ -87,7 +87,7 @@ impl Opened {
         self.decode(file, read_image, |bytes| bytes.image())
     }
 
-    pub fn image_size(&self, file: &EntryFile) -> Result<(usize, usize), DatasetError> {
+    pub fn image_size(&self, file: &EntryFile) -> Result<Size, DatasetError> {
         self.decode(file, read_image_size, |bytes| bytes.image_size())
     }
 

@@ -1,7 +1,7 @@
 //! Decoding one pair.
 
 use serde::{Deserialize, Serialize};
-use srflow_core::{FlowField, Image, Labels, Mask, Plane};
+use srflow_core::{FlowField, Image, Labels, Mask, Plane, Size};
 
 use super::entry::{Entry, Occlusion};
 use super::error::DatasetError;
@@ -76,9 +76,9 @@ impl Truth {
         );
         // Of several files that are broken, the first is reported.
         let frame1 = frame1?;
-        let (width, height) = frame1.size();
-        let fits = |file: &EntryFile, found: (usize, usize), samples: usize| {
-            let expected = (width * samples, height * samples);
+        let size = frame1.size();
+        let fits = |file: &EntryFile, found: Size, samples: usize| {
+            let expected = Size::new(size.width * samples, size.height * samples);
             if found == expected {
                 return Ok(());
             }
@@ -89,7 +89,7 @@ impl Truth {
 
         let truth = |file: &EntryFile, published: FlowField| {
             fits(file, published.size(), self.samples_per_pixel)?;
-            Ok::<_, DatasetError>(self.counted(published, width, height))
+            Ok::<_, DatasetError>(self.counted(published, size))
         };
         let flow = entry.flow.as_ref().zip(flow).map(|(file, found)| truth(file, found?)).transpose()?;
         let mask = mask.transpose()?;
@@ -110,7 +110,7 @@ impl Truth {
     }
 
     /// The published flow on the image's grid, unknown where it is not valid.
-    fn counted(self, published: FlowField, width: usize, height: usize) -> FlowField {
+    fn counted(self, published: FlowField, Size { width, height }: Size) -> FlowField {
         let mut flow = match self.samples_per_pixel {
             1 => published,
             step => FlowField::from_fn(width, height, |x, y| published.get(x * step, y * step)),
@@ -161,8 +161,8 @@ impl Entry {
         let files = Opened::of([file, &self.frame1])?;
         let flow = files.flow(file)?;
         self.check_size(&files, file, flow.size())?;
-        let (width, height) = flow.size();
-        Ok(Some(Truth::USUAL.counted(flow, width, height)))
+        let size = flow.size();
+        Ok(Some(Truth::USUAL.counted(flow, size)))
     }
 
     /// Decodes the depth of frame 1 in metres, 0 where there is none (16-bit grey PNG in tenths of a millimetre, as `srflow render
@@ -178,20 +178,15 @@ impl Entry {
         Ok(Some(Plane::from_fn(depth.width(), depth.height(), |x, y| depth.get(x, y) * 1e-4)))
     }
 
-    /// Width and height of frame 1.
+    /// Size of frame 1.
     ///
     /// # Errors
     /// When its file cannot be read, or its header is corrupt.
-    pub fn read_size(&self) -> Result<(usize, usize), DatasetError> {
+    pub fn read_size(&self) -> Result<Size, DatasetError> {
         Opened::of([&self.frame1])?.image_size(&self.frame1)
     }
 
-    fn check_size(
-        &self,
-        files: &Opened,
-        file: &EntryFile,
-        found: (usize, usize),
-    ) -> Result<(), DatasetError> {
+    fn check_size(&self, files: &Opened, file: &EntryFile, found: Size) -> Result<(), DatasetError> {
         let expected = files.image_size(&self.frame1)?;
         if found == expected {
             return Ok(());

@@ -2,6 +2,8 @@
 
 use std::io::Read;
 
+use srflow_core::Size;
+
 use crate::FileProblem;
 
 /// Maximum number of pixels in a file: 2^27, a flow of 1 GiB (16384x8192).
@@ -10,18 +12,18 @@ pub(crate) const MAX_PIXELS: u64 = 1 << 27;
 /// Maximum expansion of a deflate stream, bytes per byte (zlib's documentation, "Maximum Expansion Factor").
 const MAX_DEFLATE_RATIO: u64 = 1032;
 
-/// Width and height as sizes in memory.
+/// The size in memory.
 ///
 /// # Errors
 /// When one is zero or negative, or their product exceeds [`MAX_PIXELS`].
-pub(crate) fn check_size(width: i64, height: i64) -> Result<(usize, usize), FileProblem> {
+pub(crate) fn check_size(width: i64, height: i64) -> Result<Size, FileProblem> {
     for (field, claim) in [("width", width), ("height", height)] {
         if claim <= 0 {
             return Err(FileProblem::field(field, "at least 1 pixel", claim.to_string()));
         }
     }
     match width.checked_mul(height) {
-        Some(pixels) if pixels as u64 <= MAX_PIXELS => Ok((width as usize, height as usize)),
+        Some(pixels) if pixels as u64 <= MAX_PIXELS => Ok(Size::new(width as usize, height as usize)),
         _ => Err(FileProblem::field(
             "size",
             format!("at most {MAX_PIXELS} pixels"),

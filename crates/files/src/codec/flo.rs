@@ -8,7 +8,7 @@ use super::checks::{check_pixels, quote};
 use super::claim::{blank, check_end, check_size};
 use super::samples::{Endian, Sample, read_samples, write_f32_little_endian};
 use crate::FileProblem;
-use srflow_core::FlowField;
+use srflow_core::{FlowField, Size};
 
 /// The little-endian `f32` 202021.25.
 pub(super) const MAGIC: &[u8] = b"PIEH";
@@ -36,7 +36,7 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<(FlowField, u64)
     let [w0, w1, w2, w3, h0, h1, h2, h3] = size;
     let width = i32::from_le_bytes([w0, w1, w2, w3]);
     let height = i32::from_le_bytes([h0, h1, h2, h3]);
-    let (width, height) = check_size(width.into(), height.into())?;
+    let Size { width, height } = check_size(width.into(), height.into())?;
     let more = check_end(HEADER_BYTES + 8 * (width as u64 * height as u64), len, 8 * width as u64)?;
 
     let mut flow = FlowField::from_buffer(width, height, blank(width * height)?);

@@ -7,7 +7,7 @@ use super::checks::check_finite_or_unknown;
 use super::claim::{blank, check_size, read_all};
 use super::hdf5;
 use crate::FileProblem;
-use srflow_core::FlowField;
+use srflow_core::{FlowField, Size};
 
 pub(super) use super::hdf5::MAGIC;
 
@@ -21,7 +21,7 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileP
         return Err(FileProblem::field("shape of the dataset `flow`", "(H, W, 2)", found));
     };
     let side = |side| i64::try_from(side).unwrap_or(i64::MAX);
-    let (width, height) = check_size(side(width), side(height))?;
+    let Size { width, height } = check_size(side(width), side(height))?;
     let mut flow = FlowField::from_buffer(width, height, blank(width * height)?);
     dataset.read(flow.pixels_mut().as_flattened_mut())?;
     check_finite_or_unknown(&flow)?;

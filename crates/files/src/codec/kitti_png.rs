@@ -7,7 +7,7 @@ use super::checks::check_pixels;
 use super::claim::{blank, read_all};
 use super::png_outline::PngOutline;
 use crate::FileProblem;
-use srflow_core::FlowField;
+use srflow_core::{FlowField, Size};
 
 const ZERO: f32 = 32768.0;
 
@@ -73,7 +73,7 @@ pub(super) fn check_range(flow: &FlowField, grid: Grid) -> Result<(), FileProble
 }
 
 pub(super) fn encode(flow: &FlowField, grid: Grid, writer: &mut impl Write) -> io::Result<()> {
-    let (width, height) = flow.size();
+    let Size { width, height } = flow.size();
     let mut encoder = png::Encoder::new(writer, width as u32, height as u32); // at most MAX_PIXELS
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Sixteen);

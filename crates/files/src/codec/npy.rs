@@ -12,7 +12,7 @@ use super::checks::{check_finite_or_unknown, check_pixels, quote, read_with};
 use super::claim::{MAX_PIXELS, blank, check_file_size, check_size, read_all};
 use super::samples::{Endian, Sample, read_samples, write_f32_little_endian};
 use crate::{FileError, FileKind, FileProblem, write_atomically};
-use srflow_core::{FlowField, Plane};
+use srflow_core::{FlowField, Plane, Size};
 
 pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
 
@@ -176,7 +176,7 @@ pub(super) fn flow_of_components(u: Array, v: Array) -> Result<FlowField, FilePr
 }
 
 fn flow_of(width: usize, height: usize, u: &[f32], v: &[f32]) -> Result<FlowField, FileProblem> {
-    let (width, height) = check_size(width as i64, height as i64)?;
+    let Size { width, height } = check_size(width as i64, height as i64)?;
     let flow = FlowField::from_fn(width, height, |x, y| [u[y * width + x], v[y * width + x]]);
     check_finite_or_unknown(&flow)?;
     Ok(flow)
@@ -199,7 +199,7 @@ pub(super) fn decode_flow(reader: &mut dyn Read, len: u64) -> Result<FlowField, 
         };
         return Err(FileProblem::field("shape", expected, format!("{:?}", header.shape)));
     };
-    let (width, height) =
+    let Size { width, height } =
         check_size(i64::try_from(width).unwrap_or(i64::MAX), i64::try_from(height).unwrap_or(i64::MAX))?;
     let count = 2 * width as u64 * height as u64;
     let sample = header.sample()?;

@@ -21,7 +21,7 @@ use zip::ZipArchive;
 use super::checks::{broken, check_pixels};
 use super::claim::{blank, check_deflated, check_size};
 use crate::FileProblem;
-use srflow_core::FlowField;
+use srflow_core::{FlowField, Size};
 
 /// The arrays, in file order.
 const STEP: &str = "step.npy";
@@ -47,7 +47,7 @@ pub(super) fn check_range(flow: &FlowField) -> Result<(), FileProblem> {
 }
 
 pub(super) fn encode(flow: &FlowField, writer: &mut impl Write) -> io::Result<()> {
-    let (width, height) = flow.size();
+    let Size { width, height } = flow.size();
     let step = step_for(flow);
     let (low, high) = residuals(flow, step);
     let mut archive = Archive::new(writer);
@@ -69,7 +69,7 @@ fn step_for(flow: &FlowField) -> f32 {
 
 /// Low and high bytes of the differences, `u` before `v`.
 fn residuals(flow: &FlowField, step: f32) -> (Vec<u8>, Vec<u8>) {
-    let (width, height) = flow.size();
+    let Size { width, height } = flow.size();
     let (mut low, mut high) = (vec![0; 2 * width * height], vec![0; 2 * width * height]);
     let mut above = vec![[0_i16; 2]; width];
     let mut row = vec![[0_i16; 2]; width];
@@ -172,8 +172,7 @@ fn read_array(
     let pixels = match shape[..] {
         [2, height, width] => {
             let side = |side| i64::try_from(side).unwrap_or(i64::MAX);
-            let (width, height) = check_size(side(width), side(height))?;
-            2 * width * height
+            2 * check_size(side(width), side(height))?.pixels()
         }
         _ => 4,
     };

@@ -8,7 +8,7 @@ use super::checks::quote;
 use super::claim::{blank, check_end, check_size};
 use super::samples::{Endian, Sample, read_samples, write_f32_little_endian};
 use crate::FileProblem;
-use srflow_core::FlowField;
+use srflow_core::{FlowField, Size};
 
 pub(super) const MAGIC: &[u8] = b"PF";
 
@@ -88,7 +88,7 @@ impl Header {
         let side = |field, word: &str| {
             word.parse::<i64>().map_err(|_| FileProblem::field(field, "a whole number", format!("{word:?}")))
         };
-        let (width, height) = check_size(side("width", &width)?, side("height", &height)?)?;
+        let Size { width, height } = check_size(side("width", &width)?, side("height", &height)?)?;
         let scale = word("scale")?;
         let endian = match scale.parse::<f64>() {
             Ok(scale) if scale < 0.0 && scale.is_finite() => Endian::Little,

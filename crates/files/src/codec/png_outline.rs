@@ -1,6 +1,7 @@
 use super::checks::quote;
 use super::claim::{check_deflated, check_file_size, check_size};
 use crate::FileProblem;
+use srflow_core::Size;
 
 pub(crate) const PNG_MAGIC: &[u8] = b"\x89PNG\r\n\x1a\n";
 
@@ -60,7 +61,7 @@ impl PngOutline {
             return Err(FileProblem::field("IHDR", "a chunk of 13 bytes", "none"));
         };
         let side = |bytes| i64::from(u32::from_be_bytes(bytes));
-        let (width, height) = check_size(side([w0, w1, w2, w3]), side([h0, h1, h2, h3]))?;
+        let Size { width, height } = check_size(side([w0, w1, w2, w3]), side([h0, h1, h2, h3]))?;
         Ok(Self { width, height, bit_depth, color_type, interlaced: interlace != 0, more: 0 })
     }
 

@@ -6,6 +6,7 @@ use burn::tensor::activation::relu;
 use burn::tensor::module::max_pool2d;
 use burn::tensor::ops::MaxPoolOptions;
 use burn::tensor::{Device, Tensor};
+use srflow_core::Size;
 use srflow_core::random::Stream;
 use srflow_core::resize::shrink_area;
 use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, Linear, LinearConfig, dropout};
@@ -56,7 +57,7 @@ impl Classifier for SssNet {
     }
 
     fn input(features: &Features) -> Vec<f32> {
-        let shrunk = |channel| shrink_area(&features.plane(channel), (SIDE, SIDE), 1.0);
+        let shrunk = |channel| shrink_area(&features.plane(channel), Size::new(SIDE, SIDE), 1.0);
         [Channel::U, Channel::V, Channel::Strain]
             .map(shrunk)
             .iter()

@@ -1,6 +1,7 @@
 //! The regions of a face whose motion is followed.
 
 use crate::features::{Channel, FEATURE_SIDE, Features};
+use srflow_core::Size;
 use srflow_face::{AVERAGE_FACE, FacePoints, FrameCrop};
 
 /// Their names. `left` is the left of the picture.
@@ -35,20 +36,20 @@ pub type RegionMotion = [[f64; 2]; 16];
 /// Columns and rows of each region in a crop, the second of each not included.
 pub type RegionBoxes = [[[usize; 2]; 2]; 16];
 
-/// The regions in a crop of this width and height: about dlib's 68 points where there are any, else where an average face has them.
-pub fn regions(points: Option<&FacePoints>, crop: &FrameCrop, size: (usize, usize)) -> RegionBoxes {
+/// The regions in a crop of this size: about dlib's 68 points where there are any, else where an average face has them.
+pub fn regions(points: Option<&FacePoints>, crop: &FrameCrop, size: Size) -> RegionBoxes {
     match points.and_then(|points| points.dlib.as_deref()) {
         Some(dlib) => boxes(&dlib.map(|point| crop.point(point)), size),
-        None => boxes(&AVERAGE_FACE.map(|[x, y]| [x * size.0 as f64, y * size.1 as f64]), size),
+        None => boxes(&AVERAGE_FACE.map(|[x, y]| [x * size.width as f64, y * size.height as f64]), size),
     }
 }
 
-fn boxes(points: &[[f64; 2]; 68], size: (usize, usize)) -> RegionBoxes {
+fn boxes(points: &[[f64; 2]; 68], size: Size) -> RegionBoxes {
     let (middles, corners) = about_points(points);
     let half = (HALF * corners).max(0.5);
     middles.map(|middle| {
         std::array::from_fn(|axis| {
-            let len = [size.0, size.1][axis];
+            let len = [size.width, size.height][axis];
             // The casts clamp coordinates before the crop to its border.
             let first = ((middle[axis] - half).round() as usize).min(len.saturating_sub(1));
             [first, ((middle[axis] + half).round() as usize + 1).clamp(first + 1, len.max(first + 1))]
@@ -59,7 +60,7 @@ fn boxes(points: &[[f64; 2]; 68], size: (usize, usize)) -> RegionBoxes {
 /// Mean motion in each region; 0 where none is known.
 pub(super) fn mean_motion(
     boxes: &RegionBoxes,
-    (width, height): (usize, usize),
+    Size { width, height }: Size,
     motion: impl Fn(usize, usize) -> [f64; 2],
 ) -> RegionMotion {
     boxes.map(|[[left, right], [top, bottom]]| {
@@ -77,7 +78,7 @@ pub(super) fn mean_motion(
 
 /// Mean flow of each region in features; dlib's points as shares of the maps' sides.
 pub fn region_motion_of_features(points: &[[f64; 2]; 68], features: &Features) -> RegionMotion {
-    let size = (FEATURE_SIDE, FEATURE_SIDE);
+    let size = Size::new(FEATURE_SIDE, FEATURE_SIDE);
     let boxes = boxes(&Features::pixels_of_shares(points), size);
     let [u, v] = [Channel::U, Channel::V].map(|channel| features.channel(channel));
     mean_motion(&boxes, size, |x, y| [u, v].map(|map| f64::from(map[y * FEATURE_SIDE + x])))

@@ -1,7 +1,7 @@
 //! How a face is seen in the frames of a video, and when it has moved too far for that.
 
-use srflow_core::Image;
 use srflow_core::resize::resize_image_antialiased;
+use srflow_core::{Image, Size};
 use srflow_face::{FaceError, FacePoints, FrameCrop};
 
 use super::regions::{RegionBoxes, regions};
@@ -18,7 +18,7 @@ const STAYS_LARGE: f64 = 0.05;
 #[derive(Debug, Clone, PartialEq)]
 pub struct FaceView {
     crop: FrameCrop,
-    size: (usize, usize),
+    size: Size,
     boxes: RegionBoxes,
     pixel: f64,
 }
@@ -30,18 +30,13 @@ impl FaceView {
     /// When the crop is not in the frame.
     pub fn new(points: Option<&FacePoints>, crop: FrameCrop, frame: &Image) -> Result<Self, FaceError> {
         let cropped = crop.apply(frame)?.size();
-        let shrunk = (cropped.0.max(cropped.1) as f64 / LARGEST_SIDE as f64).max(1.0);
+        let shrunk = (cropped.width.max(cropped.height) as f64 / LARGEST_SIDE as f64).max(1.0);
         let small = |length: usize| ((length as f64 / shrunk).round() as usize).max(1);
-        Ok(Self::of_size(points, crop, cropped, (small(cropped.0), small(cropped.1))))
+        Ok(Self::of_size(points, crop, cropped, Size::new(small(cropped.width), small(cropped.height))))
     }
 
-    fn of_size(
-        points: Option<&FacePoints>,
-        crop: FrameCrop,
-        cropped: (usize, usize),
-        size: (usize, usize),
-    ) -> Self {
-        let pixel = cropped.0 as f64 / size.0 as f64;
+    fn of_size(points: Option<&FacePoints>, crop: FrameCrop, cropped: Size, size: Size) -> Self {
+        let pixel = cropped.width as f64 / size.width as f64;
         let boxes = regions(points, &crop, cropped).map(|ranges| {
             ranges.map(|[first, end]| {
                 let first = (first as f64 / pixel) as usize;
@@ -67,8 +62,8 @@ impl FaceView {
         Ok(if face.size() == self.size { face } else { resize_image_antialiased(&face, self.size) })
     }
 
-    /// Width and height of the pictures that are cut out, in pixels.
-    pub fn size(&self) -> (usize, usize) {
+    /// Of the pictures that are cut out.
+    pub fn size(&self) -> Size {
         self.size
     }
 

@@ -1,6 +1,6 @@
 //! Features of clips.
 
-use srflow_core::{FlowField, Plane};
+use srflow_core::{FlowField, Plane, Size};
 use srflow_mer::{
     Channel, FEATURE_SIDE, FeatureError, FeatureSettings, Features, HeadMotion, StrainFormula,
     features_of_flow,
@@ -20,7 +20,7 @@ fn maps_lie_one_after_the_other() {
 fn other_sizes_and_values_that_are_not_finite_are_refused() {
     let plane = Plane::new(FEATURE_SIDE, FEATURE_SIDE);
     let error = Features::new(&plane, &Plane::new(112, 111), &plane).unwrap_err();
-    assert_eq!(error, FeatureError::Size { channel: Channel::V, size: (112, 111) });
+    assert_eq!(error, FeatureError::Size { channel: Channel::V, size: Size::new(112, 111) });
     let mut broken = plane.clone();
     broken.set(7, 3, f32::NAN);
     let error = Features::new(&plane, &plane, &broken).unwrap_err();

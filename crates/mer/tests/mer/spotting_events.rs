@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use srflow_core::random::Key;
-use srflow_core::{EstimateError, FlowEstimator, FlowField, Image};
+use srflow_core::{EstimateError, FlowEstimator, FlowField, Image, Size};
 use srflow_data::micro_expression::intervals::{ExpressionKind, Interval};
 use srflow_face::{FaceError, FacePoints, FrameCrop};
 use srflow_mer::HeadMotion;
@@ -197,13 +197,13 @@ fn a_face_is_seen_anew_only_where_it_has_moved() {
 
 #[test]
 fn regions_lie_in_the_crop_and_lids_at_its_eyes() {
-    let boxes = regions(None, &FrameCrop::Whole, (200, 200));
+    let boxes = regions(None, &FrameCrop::Whole, Size::new(200, 200));
     for [[left, right], [top, bottom]] in boxes {
         assert!(left < right && right <= 200 && top < bottom && bottom <= 200);
     }
     let [[left, right], [top, bottom]] = boxes[REGIONS.iter().position(|name| *name == "lids-left").unwrap()];
     assert!((left..right).contains(&60) && (top..bottom).contains(&72), "as FrameCrop::upright places eyes");
-    for [[left, right], [top, bottom]] in regions(None, &FrameCrop::Whole, (1, 1)) {
+    for [[left, right], [top, bottom]] in regions(None, &FrameCrop::Whole, Size::new(1, 1)) {
         assert_eq!([left, right, top, bottom], [0, 1, 0, 1]);
     }
 }

@@ -36,9 +36,8 @@ fn off_tanets_slip_misses_vertical_stretching_and_sees_turning() {
 
 #[test]
 fn tiny_flows_have_strain_too() {
-    for size in [(1, 1), (1, 3), (2, 1), (2, 2)] {
-        let strain =
-            optical_strain(&FlowField::filled(size.0, size.1, [1.0, 2.0]), StrainFormula::Literature);
+    for (width, height) in [(1, 1), (1, 3), (2, 1), (2, 2)] {
+        let strain = optical_strain(&FlowField::filled(width, height, [1.0, 2.0]), StrainFormula::Literature);
         assert!(strain.pixels().iter().all(|strain| *strain == 0.0));
     }
 }

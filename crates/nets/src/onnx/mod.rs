@@ -297,7 +297,7 @@ mod tests {
         let (computed, dimensions) = of(None);
         assert!(computed.into_iter().all(|nodes| nodes >= 1), "{computed:?}");
         assert_eq!(dimensions, ["height", "width"].repeat(5));
-        let (computed, dimensions) = of(Some(Size { width: 150, height: 133 }));
+        let (computed, dimensions) = of(Some(Size::new(150, 133)));
         assert_eq!(computed, [0; 4]);
         assert_eq!(dimensions, ["133", "150"].repeat(5));
     }

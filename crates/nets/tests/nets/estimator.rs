@@ -4,7 +4,9 @@ use std::num::NonZeroUsize;
 
 use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_core::{EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, Plane, forward_interpolate};
+use srflow_core::{
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, Plane, Size, forward_interpolate,
+};
 use srflow_nets::{
     Architecture, Frames, Iterations, Network, NetworkEstimator, Padding, Request, TileSize, Tiling, Wrapped,
 };
@@ -18,7 +20,7 @@ fn network() -> Network {
 }
 
 fn tiling(width: usize, height: usize, overlap: usize) -> Tiling {
-    Tiling { size: TileSize::Fixed(width, height), overlap, alignment: Padding::Fixed(8) }
+    Tiling { size: TileSize::Fixed(Size { width, height }), overlap, alignment: Padding::Fixed(8) }
 }
 
 fn estimator(network: &Network) -> NetworkEstimator {
@@ -27,16 +29,16 @@ fn estimator(network: &Network) -> NetworkEstimator {
 }
 
 /// A texture that moves by 3 pixels to the right and 1 down per frame.
-fn frame(size: (usize, usize), number: usize) -> Image {
-    Image::from_fn(size.0, size.1, |x, y| {
+fn frame(width: usize, height: usize, number: usize) -> Image {
+    Image::from_fn(width, height, |x, y| {
         let (x, y) = (x as f32 - 3.0 * number as f32, y as f32 - number as f32);
         let wave = |a: f32, b: f32| ((a * x + b * y).sin() * 60.0 + 128.0) as u8;
         [wave(0.31, 0.12), wave(-0.17, 0.4), wave(0.07, 0.23)]
     })
 }
 
-fn video(size: (usize, usize), frames: usize) -> Vec<Image> {
-    (0..frames).map(|number| frame(size, number)).collect()
+fn video(width: usize, height: usize, frames: usize) -> Vec<Image> {
+    (0..frames).map(|number| frame(width, height, number)).collect()
 }
 
 /// Of all frames at once.
@@ -71,7 +73,7 @@ fn assert_near(found: &FlowField, expected: &FlowField, what: &str) {
 #[test]
 fn an_estimate_is_the_flow_of_the_network() {
     let network = network();
-    let (first, second) = (frame((203, 150), 0), frame((203, 150), 1));
+    let (first, second) = (frame(203, 150, 0), frame(203, 150, 1));
     let frames = Frames { first: tensor(&first), second: tensor(&second) };
     let expected = network.forward(frames, &Request::new(ITERATIONS));
     let found = estimator(&network).estimate(&first, &second).expect("flow");
@@ -82,7 +84,7 @@ fn an_estimate_is_the_flow_of_the_network() {
 fn a_sequence_gives_the_flow_of_every_pair_in_pieces_of_any_length() {
     let network = network();
     let estimator = estimator(&network);
-    let frames = video((140, 131), 5);
+    let frames = video(140, 131, 5);
     let pairs: Vec<FlowField> =
         frames.windows(2).map(|pair| estimator.estimate(&pair[0], &pair[1]).expect("flow")).collect();
     for pieces in [vec![5], vec![1, 1, 1, 1, 1], vec![2, 3], vec![1, 4]] {
@@ -107,7 +109,7 @@ fn batches_give_the_flow_of_each_pair() {
     let boxed = || Box::new(estimator(&network));
     let tiled = Wrapped::new(boxed()).tiled(tiling(128, 128, 64));
     let scaled = Wrapped::new(boxed()).scaled(0.9).expect("in range");
-    let frames = video((170, 140), 4);
+    let frames = video(170, 140, 4);
     let pairs = [[&frames[0], &frames[1]], [&frames[3], &frames[0]], [&frames[1], &frames[1]]];
     for estimator in [&estimator(&network) as &dyn FlowEstimator, &tiled, &scaled] {
         let flows = estimator.estimate_pairs(&pairs).expect("flows");
@@ -116,7 +118,7 @@ fn batches_give_the_flow_of_each_pair() {
             assert_near(&estimate.flow, &estimator.estimate(first, second).expect("flow"), "one of several");
         }
         assert!(estimator.estimate_pairs(&[]).expect("nothing").is_empty());
-        let smaller = frame((160, 140), 0);
+        let smaller = frame(160, 140, 0);
         let error = estimator.estimate_pairs(&[pairs[0], [&smaller, &smaller]]).expect_err("two sizes");
         assert!(matches!(error, EstimateError::SizeMismatch { .. }), "{error}");
     }
@@ -126,7 +128,7 @@ fn batches_give_the_flow_of_each_pair() {
 #[test]
 fn a_warm_start_is_the_forward_warped_coarse_flow() {
     let network = network();
-    let frames = video((136, 128), 3);
+    let frames = video(136, 128, 3);
     let pair = |n: usize| Frames { first: tensor(&frames[n]), second: tensor(&frames[n + 1]) };
     let first = network.forward(pair(0), &Request::new(ITERATIONS));
     let moved = forward_interpolate(&field(first.coarse.clone().expect("a coarse flow")));
@@ -157,12 +159,12 @@ fn memflow() -> Network {
 fn a_sequence_remembers_earlier_pairs_but_not_across_a_cut() {
     let network = memflow();
     let estimator = estimator(&network);
-    let size = (140, 131);
+    let (width, height) = (140, 131);
     let negative = |frame: Image| {
-        Image::from_fn(size.0, size.1, |x, y| frame.get(size.0 - 1 - x, y).map(|level| level / 4))
+        Image::from_fn(width, height, |x, y| frame.get(width - 1 - x, y).map(|level| level / 4))
     };
-    let frames: Vec<Image> =
-        video(size, 4).into_iter().chain(video(size, 3).into_iter().map(negative)).collect();
+    let dark = video(width, height, 3).into_iter().map(negative);
+    let frames: Vec<Image> = video(width, height, 4).into_iter().chain(dark).collect();
     let mut memory = None;
     let mut expected = Vec::new();
     for (number, pair) in frames.windows(2).enumerate() {
@@ -187,7 +189,7 @@ fn a_sequence_remembers_earlier_pairs_but_not_across_a_cut() {
 #[test]
 fn memory_is_kept_when_windows_move() {
     let network = memflow();
-    let frames = video((150, 131), 3);
+    let frames = video(150, 131, 3);
     let tiled = Wrapped::new(Box::new(estimator(&network))).tiled(tiling(200, 200, 64));
     let estimator = estimator(&network);
     let window = |number: usize, left: usize| frames[number].crop(left, 0, 140, 131);
@@ -208,7 +210,7 @@ fn memory_is_kept_when_windows_move() {
     }
     let mut sequence = estimator.sequence(false);
     assert!(sequence.push_pair([&frames[0], &window(1, 0)]).is_err(), "of two sizes");
-    assert_eq!(sequence.push_pair([&frames[0], &frames[1]]).expect("flow").flow.size(), (150, 131));
+    assert_eq!(sequence.push_pair([&frames[0], &frames[1]]).expect("flow").flow.size(), Size::new(150, 131));
 }
 
 /// Without padding, with padding, and for frames below the smallest size.
@@ -216,31 +218,30 @@ fn memory_is_kept_when_windows_move() {
 fn an_initial_flow_is_reduced_to_the_coarse_start() {
     let network = network();
     let estimator = estimator(&network);
-    for (size, grid) in [((136, 128), [16, 17]), ((131, 150), [19, 17]), ((60, 50), [16, 16])] {
-        let (first, second) = (frame(size, 0), frame(size, 1));
-        let found = estimator.estimate_from(&first, &second, &FlowField::filled(size.0, size.1, [4.0, -2.0]));
+    for ([width, height], grid) in [([136, 128], [16, 17]), ([131, 150], [19, 17]), ([60, 50], [16, 16])] {
+        let (first, second) = (frame(width, height, 0), frame(width, height, 1));
+        let initial = FlowField::filled(width, height, [4.0, -2.0]);
+        let found = estimator.estimate_from(&first, &second, &initial);
         let start = TensorData::new(
             [0.5, -0.25].into_iter().flat_map(|part| vec![part; grid[0] * grid[1]]).collect::<Vec<f32>>(),
             [1, 2, grid[0], grid[1]],
         );
         let larger = |image: &Image| {
-            let (width, height) = (size.0.max(128), size.1.max(128));
-            let inside = |place: usize, larger: usize, side: usize| {
-                place.saturating_sub((larger - side) / 2).min(side - 1)
-            };
-            Image::from_fn(width, height, |x, y| {
-                image.get(inside(x, width, size.0), inside(y, height, size.1))
+            let inside =
+                |place: usize, side: usize| place.saturating_sub((side.max(128) - side) / 2).min(side - 1);
+            Image::from_fn(width.max(128), height.max(128), |x, y| {
+                image.get(inside(x, width), inside(y, height))
             })
         };
         let frames = Frames { first: tensor(&larger(&first)), second: tensor(&larger(&second)) };
         let request =
             Request { start: Some(Tensor::from_data(start, &Device::flex())), ..Request::new(ITERATIONS) };
         let whole = field(network.forward(frames, &request).last().clone());
-        let corner = ((whole.width() - size.0) / 2, (whole.height() - size.1) / 2);
-        let expected = whole.crop(corner.0, corner.1, size.0, size.1);
-        assert_near(&found.expect("flow").flow, &expected, &format!("{size:?}"));
+        let (left, top) = ((whole.width() - width) / 2, (whole.height() - height) / 2);
+        let expected = whole.crop(left, top, width, height);
+        assert_near(&found.expect("flow").flow, &expected, &format!("{width}x{height}"));
     }
-    let (first, second) = (frame((130, 128), 0), frame((130, 128), 1));
+    let (first, second) = (frame(130, 128, 0), frame(130, 128, 1));
     let error = estimator.estimate_from(&first, &second, &FlowField::new(128, 128)).expect_err("other size");
     assert!(matches!(error, EstimateError::SizeMismatch { .. }), "{error}");
 }
@@ -249,25 +250,26 @@ fn an_initial_flow_is_reduced_to_the_coarse_start() {
 fn frames_of_any_size_have_a_flow() {
     for architecture in [Architecture::RaftSmall, Architecture::DpFlow, Architecture::CcmrP] {
         let estimator = estimator(&architecture.init(&Device::flex()));
-        for size in [(1, 1), (16, 16), (1, 130), (127, 9), (129, 128)] {
-            let flow = estimator.estimate(&frame(size, 0), &frame(size, 1)).expect("flow");
-            assert_eq!(flow.size(), size);
+        for (width, height) in [(1, 1), (16, 16), (1, 130), (127, 9), (129, 128)] {
+            let [first, second] = [0, 1].map(|number| frame(width, height, number));
+            let flow = estimator.estimate(&first, &second).expect("flow");
+            assert_eq!(flow.size(), first.size());
             assert!(flow.pixels().as_flattened().iter().all(|value| value.is_finite()), "{architecture:?}");
         }
     }
     let estimator = estimator(&network());
-    assert_eq!(estimator.estimate(&Image::new(0, 0), &Image::new(0, 0)).expect("nothing").size(), (0, 0));
-    let error = estimator.estimate(&frame((130, 128), 0), &frame((128, 130), 0)).expect_err("other size");
+    let nothing = Image::new(0, 0);
+    assert_eq!(estimator.estimate(&nothing, &nothing).expect("nothing").size(), nothing.size());
+    let error = estimator.estimate(&frame(130, 128, 0), &frame(128, 130, 0)).expect_err("other size");
     assert!(matches!(error, EstimateError::SizeMismatch { .. }), "{error}");
     let mut sequence = estimator.sequence(false);
-    assert!(sequence.push(&[frame((130, 128), 0), frame((128, 130), 0)]).is_err());
+    assert!(sequence.push(&[frame(130, 128, 0), frame(128, 130, 0)]).is_err());
 }
 
 #[test]
 fn tiles_and_scales_give_the_same_flow_in_a_sequence() {
     let network = network();
-    let size = (300, 160);
-    let frames = video(size, 3);
+    let frames = video(300, 160, 3);
     let boxed = || Box::new(estimator(&network));
     let whole = Wrapped::new(boxed()).tiled(tiling(300, 200, 64));
     let expected = estimator(&network).estimate(&frames[0], &frames[1]).expect("flow");
@@ -296,7 +298,7 @@ fn until_still(network: &Network, still_px: f32) -> NetworkEstimator {
 #[test]
 fn a_still_pair_takes_two_iterations() {
     let network = network();
-    let frame = frame((136, 128), 0);
+    let frame = frame(136, 128, 0);
     let found = until_still(&network, 1000.0).estimate_pairs(&[[&frame, &frame]]).expect("flow").remove(0);
     let two = NonZeroUsize::new(2).expect("some");
     let fixed = NetworkEstimator::new("two", network, two, Device::flex());
@@ -308,7 +310,7 @@ fn a_still_pair_takes_two_iterations() {
 #[test]
 fn a_pair_takes_as_many_iterations_as_it_needs_whatever_its_mates() {
     let network = network();
-    let frames = [frame((200, 128), 0), frame((200, 128), 0), frame((200, 128), 3), frame((200, 128), 4)];
+    let frames = [0, 0, 3, 4].map(|number| frame(200, 128, number));
     let pairs: Vec<[&Image; 2]> = frames.windows(2).map(|pair| [&pair[0], &pair[1]]).collect();
     // The limit that the changes of the first two iterations reach: the mean, or a quarter of what one pixel in a hundred exceeds.
     let limit = |changes: Vec<[f32; 2]>| -> f32 {
@@ -358,18 +360,17 @@ fn a_mixture_becomes_the_uncertainty_of_the_flow() {
     let bias = TensorData::new(vec![0.0_f32, 0.0, 1.0, -1.0, 12.0, -2.0], [6]);
     values.insert("flow_head.2.bias".into(), bias);
     let network = with_parameters(network, values).expect("its own names and shapes");
-    let size = (140, 131);
-    let frames = video(size, 3);
+    let frames = video(140, 131, 3);
+    let Size { width, height } = frames[0].size();
     let expected: Vec<Plane> = (0..2)
         .map(|n| {
             let pair = Frames { first: tensor(&frames[n]), second: tensor(&frames[n + 1]) };
             let mixture = network.forward(pair, &Request::new(ITERATIONS)).mixtures.pop().expect("a mixture");
             let numbers = |tensor: Tensor<4>| -> Vec<f64> { tensor.into_data().iter::<f64>().collect() };
             let (weights, scales) = (numbers(mixture.log_weights), numbers(mixture.log_scales));
-            let pixels = size.0 * size.1;
-            Plane::from_fn(size.0, size.1, |x, y| {
-                let at = y * size.0 + x;
-                let weights = [weights[at], weights[pixels + at]].map(f64::exp);
+            Plane::from_fn(width, height, |x, y| {
+                let at = y * width + x;
+                let weights = [weights[at], weights[width * height + at]].map(f64::exp);
                 let scales = [scales[at].clamp(0.0, 10.0).exp(), 1.0];
                 ((weights[0] * scales[0] + weights[1] * scales[1]) / (weights[0] + weights[1])) as f32
             })
@@ -410,7 +411,7 @@ impl ModuleMapper for Broken {
 #[test]
 fn a_nan_flow_is_an_error() {
     let network = network().map(&mut Broken);
-    let error = estimator(&network).estimate(&frame((128, 128), 0), &frame((128, 128), 1)).expect_err("NaN");
+    let error = estimator(&network).estimate(&frame(128, 128, 0), &frame(128, 128, 1)).expect_err("NaN");
     assert!(error.to_string().contains("raft-small: computed NaN instead of a flow"), "{error}");
 }
 
@@ -423,7 +424,7 @@ fn bfloat16_moves_a_trained_flow_little_and_the_same_way_in_a_sequence() {
         let iterations = NonZeroUsize::new(2).expect("some");
         NetworkEstimator::new("srflow", network.clone(), iterations, device.clone()).with_precision(precision)
     };
-    let frames = video((160, 120), 3);
+    let frames = video(160, 120, 3);
     let exact = flows_of(&of(Precision::F32), false, &frames);
     let near = flows_of(&of(Precision::Bf16), false, &frames);
     for (pair, (exact, near)) in exact.iter().zip(&near).enumerate() {
@@ -444,7 +445,7 @@ fn sixteen_bits_move_a_trained_flow_little_on_a_device() {
     };
     let device = srflow_ops::device(&name).expect("the device of SRFLOW_TEST_DEVICE");
     let network = srflow_nets::load_included(Architecture::SrFlow, &device).expect("weights");
-    let frames = video((160, 120), 2);
+    let frames = video(160, 120, 2);
     let of = |precision| {
         let iterations = NonZeroUsize::new(2).expect("some");
         let estimator = NetworkEstimator::new("srflow", network.clone(), iterations, device.clone());

@@ -1,18 +1,19 @@
 //! Memory needs of the networks against measured peaks.
 
+use srflow_core::Size;
 use srflow_nets::{Architecture, MemoryNeed};
 
-const SIZES: [(usize, usize); 10] = [
-    (320, 256),
-    (512, 384),
-    (640, 480),
-    (800, 512),
-    (1024, 768),
-    (1280, 720),
-    (1280, 960),
-    (1600, 1200),
-    (2048, 1536),
-    (3840, 2160),
+const SIZES: [Size; 10] = [
+    Size::new(320, 256),
+    Size::new(512, 384),
+    Size::new(640, 480),
+    Size::new(800, 512),
+    Size::new(1024, 768),
+    Size::new(1280, 720),
+    Size::new(1280, 960),
+    Size::new(1600, 1200),
+    Size::new(2048, 1536),
+    Size::new(3840, 2160),
 ];
 
 /// Peaks in MB at these sizes, less that of a 128x128 frame, measured by `tools/bench/memory.py`; of some networks not at the last
@@ -36,10 +37,10 @@ const PEAKS: [(Architecture, &[u64]); 13] = [
 #[test]
 fn needs_are_tight_upper_bounds_of_measured_peaks() {
     for (architecture, peaks) in PEAKS {
-        for ((width, height), &megabytes) in SIZES.into_iter().zip(peaks) {
-            let need = architecture.facts().memory.bytes(width * height) / 1_000_000;
-            let most = if width < 1024 { megabytes + 350 } else { megabytes * 133 / 100 };
-            let what = format!("{architecture:?} {width}x{height}: {need} MB for {megabytes} MB");
+        for (size, &megabytes) in SIZES.into_iter().zip(peaks) {
+            let need = architecture.facts().memory.bytes(size.pixels()) / 1_000_000;
+            let most = if size.width < 1024 { megabytes + 350 } else { megabytes * 133 / 100 };
+            let what = format!("{architecture:?} {size}: {need} MB for {megabytes} MB");
             assert!(need >= megabytes && need <= most, "{what}");
         }
     }

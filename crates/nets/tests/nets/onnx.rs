@@ -23,10 +23,10 @@ const ITERATIONS: NonZeroUsize = NonZeroUsize::new(2).unwrap();
 const LIMIT: f32 = 1e-3;
 /// Padded by odd numbers of pixels; below the smallest side of RAFT in both directions; not padded. The first two by the same file.
 const SIZES: [(Size, bool); 4] = [
-    (Size { width: 150, height: 133 }, false),
-    (Size { width: 90, height: 50 }, false),
-    (Size { width: 150, height: 133 }, true),
-    (Size { width: 160, height: 128 }, true),
+    (Size::new(150, 133), false),
+    (Size::new(90, 50), false),
+    (Size::new(150, 133), true),
+    (Size::new(160, 128), true),
 ];
 
 fn network(architecture: Architecture) -> Network {

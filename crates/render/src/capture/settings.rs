@@ -72,7 +72,7 @@ impl Default for CaptureSettings {
             look: Look::default(),
             cameras: CHOSEN.len(),
             timesteps: 100,
-            size: Size { width: 550, height: 802 },
+            size: Size::new(550, 802),
             seed: 1,
             background: Color([255; 3]),
             noise: 0.0,
@@ -88,7 +88,7 @@ impl CaptureSettings {
         require("cameras", self.cameras, "1 to 16", cameras)?;
         let timesteps = (1..=100_000).contains(&self.timesteps);
         require("timesteps", self.timesteps, "1 to 100000", timesteps)?;
-        check_size((self.size.width, self.size.height), 16..=16_384)?;
+        check_size(self.size, 16..=16_384)?;
         for (field, value) in [
             ("noise", self.noise),
             ("calibration_noise", self.calibration_noise),
@@ -119,7 +119,7 @@ impl CaptureSettings {
 
     /// The true cameras, around a head that has to be moved by `home` to be where the built-in heads are.
     pub(super) fn true_cameras(&self, home: Vec3) -> Vec<(u32, Camera)> {
-        let rig = Rig::new(self.size.width, self.size.height, head::centre(&self.head) - home.as_dvec3());
+        let rig = Rig::new(self.size, head::centre(&self.head) - home.as_dvec3());
         let views: Vec<_> = Rig::views().map(|(_, view)| view).collect();
         let camera = |index: u32| (index, rig.camera(views[index as usize]));
         self.camera_indices().into_iter().map(camera).collect()

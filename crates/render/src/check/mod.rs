@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::Serialize;
-use srflow_core::{FlowField, Image, Labels, Mask, Plane, warp};
+use srflow_core::{FlowField, Image, Labels, Mask, Plane, Size, warp};
 use srflow_files::{FileKind, parse_error_in_words, read_alpha, read_flow, read_image, read_mask, read_text};
 
 use crate::camera::camera_from_record;
@@ -171,9 +171,9 @@ impl PairFindings {
     fn read<T>(
         &mut self,
         file: &Path,
-        size: (usize, usize),
+        size: Size,
         read: impl FnOnce(&Path) -> Result<T, srflow_files::FileError>,
-        size_of: impl Fn(&T) -> (usize, usize),
+        size_of: impl Fn(&T) -> Size,
     ) -> Option<T> {
         match read(file) {
             Err(error) => {
@@ -182,29 +182,24 @@ impl PairFindings {
                 None
             }
             Ok(content) if size_of(&content) != size => {
-                let (width, height) = size_of(&content);
-                self.problem(
-                    file,
-                    format!(
-                        "expected {}x{} as in dataset.json, found {width}x{height} (WIDTHxHEIGHT)",
-                        size.0, size.1
-                    ),
-                );
+                let found = size_of(&content);
+                let what = format!("expected {size} as in dataset.json, found {found} (WIDTHxHEIGHT)");
+                self.problem(file, what);
                 None
             }
             Ok(content) => Some(content),
         }
     }
 
-    fn read_image(&mut self, file: &Path, size: (usize, usize)) -> Option<Image> {
+    fn read_image(&mut self, file: &Path, size: Size) -> Option<Image> {
         self.read(file, size, read_image, Image::size)
     }
 
-    fn read_mask(&mut self, file: &Path, size: (usize, usize)) -> Option<Mask> {
+    fn read_mask(&mut self, file: &Path, size: Size) -> Option<Mask> {
         self.read(file, size, read_mask, Mask::size)
     }
 
-    fn read_flow(&mut self, file: &Path, size: (usize, usize)) -> Option<FlowField> {
+    fn read_flow(&mut self, file: &Path, size: Size) -> Option<FlowField> {
         let flow = self.read(file, size, read_flow, FlowField::size)?;
         let unknown = flow.pixels().iter().filter(|[u, v]| !(u.is_finite() && v.is_finite())).count();
         if unknown > 0 {
@@ -243,7 +238,7 @@ impl PairFindings {
     }
 
     /// Checks the files of a frame; returns its mask.
-    fn examine_frame(&mut self, files: &FrameFiles, size: (usize, usize)) -> Option<Mask> {
+    fn examine_frame(&mut self, files: &FrameFiles, size: Size) -> Option<Mask> {
         let mask = self.read_mask(&files.mask, size);
         // Alpha is rounded such that its upper half is exactly the mask.
         let alpha = self.read(&files.alpha, size, read_alpha, Plane::size);
@@ -299,7 +294,7 @@ impl PairChecker<'_> {
         let Self { dir, manifest, scene, .. } = *self;
         let known = frame.take();
         let mut findings = PairFindings::default();
-        let size = (manifest.arguments.width, manifest.arguments.height);
+        let size = Size::new(manifest.arguments.width, manifest.arguments.height);
         let files = manifest.files(dir, scene, pair);
         // One problem, so that those of a million pairs fit into memory.
         if !files.record.exists() && !files.all().any(|file| file.exists()) {

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use srflow_core::random::Key;
-use srflow_core::{Image, parse_color};
+use srflow_core::{Image, Size, parse_color};
 use srflow_files::read_image;
 use srflow_head::Look;
 use srflow_splat::Frame;
@@ -63,7 +63,7 @@ pub(super) const PROCEDURAL: &str = "procedural";
 pub(super) fn behind(
     background: &Background,
     name: Option<&str>,
-    (width, height): (usize, usize),
+    Size { width, height }: Size,
     key: Key,
     look: Look,
 ) -> Result<Option<Image>, RenderError> {
@@ -187,7 +187,7 @@ mod tests {
             assert!((f64::from(small.get(x, 4)[0]) - expected).abs() <= 1.0, "{x}: {:?}", small.get(x, 4));
         }
         let large = fill(&gradient, 800, 400); // the middle 200x100, one to four
-        assert_eq!(large.size(), (800, 400));
+        assert_eq!(large.size(), Size::new(800, 400));
         assert!((i32::from(large.get(400, 200)[0]) - 100).abs() <= 1);
     }
 

@@ -70,15 +70,15 @@ impl Surface<'_> {
 
 #[cfg(test)]
 mod tests {
-    use srflow_core::{FlowField, Plane};
+    use srflow_core::{FlowField, Plane, Size};
 
     use super::*;
 
-    const SIZE: (usize, usize) = (12, 4);
+    const SIZE: Size = Size::new(12, 4);
 
     /// A wall at 1 m over the columns `columns`, which moves by `u` pixels and will be at `depth_next`.
     fn wall(columns: std::ops::Range<usize>, u: f32, depth_next: f32) -> Frame {
-        let (width, height) = SIZE;
+        let Size { width, height } = SIZE;
         let on = |x: usize, value: f32| if columns.contains(&x) { value } else { 0.0 };
         Frame {
             width,
@@ -95,7 +95,7 @@ mod tests {
         let mut surface = Vec::new();
         surface_into(next, &mut surface);
         let hidden = occlusion(frame, &surface);
-        (0..SIZE.0).filter(|&x| hidden.get(x, 1)).collect()
+        (0..SIZE.width).filter(|&x| hidden.get(x, 1)).collect()
     }
 
     #[test]
@@ -123,7 +123,7 @@ mod tests {
     #[test]
     fn flow_is_divided_by_alpha_to_find_the_target() {
         let mut frame = wall(0..6, 2.0, 1.1);
-        frame.alpha = Plane::from_fn(SIZE.0, SIZE.1, |x, _| if x < 6 { 0.75 } else { 0.0 });
+        frame.alpha = Plane::from_fn(SIZE.width, SIZE.height, |x, _| if x < 6 { 0.75 } else { 0.0 });
         frame.flow.pixels_mut().iter_mut().for_each(|[u, _]| *u *= 0.75);
         assert_eq!(hidden_columns(&frame, &wall(5..12, 0.0, 0.0))[..3], [3, 4, 5]);
     }

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::Path;
 
-use srflow_core::Plane;
+use srflow_core::{Plane, Size};
 use srflow_data::region_map::HeadPart;
 use srflow_files::{FileError, write_atomically};
 use srflow_splat::Frame;
@@ -43,7 +43,7 @@ pub fn write_shading_change(path: &Path, frame: &Frame, bytes: &mut Vec<u8>) -> 
         let change: f32 = color.iter().zip(LUMA).map(|(channel, share)| 2.0 * (channel - 0.5) * share).sum();
         ((32_768.5 + 128.0 * 255.0 * change) as u16).to_be_bytes()
     }));
-    write_grey(path, (frame.width, frame.height), png::BitDepth::Sixteen, bytes)
+    write_grey(path, Size::new(frame.width, frame.height), png::BitDepth::Sixteen, bytes)
 }
 
 /// Writes the region map of the head that `alpha` is of: the label of the part with the largest weight inside of the mask, 0 elsewhere.
@@ -60,7 +60,7 @@ pub fn write_regions(
 
 fn write_grey(
     path: &Path,
-    (width, height): (usize, usize),
+    Size { width, height }: Size,
     bits: png::BitDepth,
     bytes: &[u8],
 ) -> Result<(), FileError> {

@@ -1,13 +1,14 @@
 //! The camera rig: 16 calibrated portrait cameras on an arc in front of the head, as in NeRSemble (Kirschstein et al. 2023).
 
 use glam::{DMat3, DMat4, DVec3, DVec4};
+use srflow_core::Size;
 use srflow_splat::Camera;
 
 use crate::camera::record_from_camera;
 use srflow_data::manifest::RigCamera;
 
-/// Width and height of NeRSemble's frames, to which the focal length refers.
-pub const FULL_SIZE: (usize, usize) = (2200, 3208);
+/// Size of NeRSemble's frames, to which the focal length refers.
+pub const FULL_SIZE: Size = Size::new(2200, 3208);
 
 /// Number of the frontal camera, counted from 1 as in the paper.
 pub const CANONICAL_CAMERA: u32 = 9;
@@ -51,16 +52,15 @@ pub struct View {
 /// Cameras at one distance from the head's centre, all pointing at it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rig {
-    width: usize,
-    height: usize,
+    size: Size,
     centre: DVec3,
 }
 
 impl Rig {
-    /// A rig for frames of `width` by `height` pixels about the head's `centre`, in metres. The field of view is
+    /// A rig for frames of this size about the head's `centre`, in metres. The field of view is
     /// NeRSemble's, or wider along one axis where the proportions differ from 2200x3208.
-    pub fn new(width: usize, height: usize, centre: DVec3) -> Self {
-        Self { width, height, centre }
+    pub fn new(size: Size, centre: DVec3) -> Self {
+        Self { size, centre }
     }
 
     /// Position of each camera, by number from 1.
@@ -75,8 +75,8 @@ impl Rig {
     }
 
     pub fn camera(&self, view: View) -> Camera {
-        let (full_width, full_height) = FULL_SIZE;
-        let scale = (self.width as f64 / full_width as f64).min(self.height as f64 / full_height as f64);
+        let Size { width, height } = self.size;
+        let scale = (width as f64 / FULL_SIZE.width as f64).min(height as f64 / FULL_SIZE.height as f64);
         // Facing the subject: its left (+x) is on the right, up (+y) is up, forward is -z.
         let facing = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
         let orbit = DMat3::from_rotation_y(view.azimuth.to_radians())
@@ -84,18 +84,13 @@ impl Rig {
         let rotation = DMat3::from_rotation_z(view.roll.to_radians()) * facing * orbit.transpose();
         let translation = DVec3::new(0.0, 0.0, DISTANCE) - rotation * self.centre;
         Camera {
-            width: self.width,
-            height: self.height,
-            fx: FOCAL_PIXELS * scale,
-            fy: FOCAL_PIXELS * scale,
-            cx: (self.width as f64 - 1.0) / 2.0,
-            cy: (self.height as f64 - 1.0) / 2.0,
             camera_from_world: DMat4::from_cols(
                 rotation.x_axis.extend(0.0),
                 rotation.y_axis.extend(0.0),
                 rotation.z_axis.extend(0.0),
                 DVec4::from((translation, 1.0)),
             ),
+            ..Camera::centred(self.size, [FOCAL_PIXELS * scale; 2])
         }
     }
 }
@@ -112,7 +107,7 @@ mod tests {
 
     #[test]
     fn every_camera_sees_the_head_in_the_middle_at_one_metre() {
-        let rig = Rig::new(2200, 3208, CENTRE);
+        let rig = Rig::new(FULL_SIZE, CENTRE);
         assert_eq!(rig.cameras().len(), 16);
         for (number, view) in Rig::views() {
             let (pixel, depth) = rig.camera(view).project(CENTRE).unwrap();
@@ -126,7 +121,7 @@ mod tests {
 
     #[test]
     fn the_canonical_camera_faces_the_subject_upright() {
-        let camera = Rig::new(2200, 3208, CENTRE).camera(view_of(CANONICAL_CAMERA));
+        let camera = Rig::new(FULL_SIZE, CENTRE).camera(view_of(CANONICAL_CAMERA));
         let (left, _) = camera.project(CENTRE + DVec3::X * 0.1).unwrap();
         let (crown, _) = camera.project(CENTRE + DVec3::Y * 0.1).unwrap();
         let (_, nose) = camera.project(CENTRE + DVec3::Z * 0.1).unwrap();
@@ -140,7 +135,7 @@ mod tests {
 
     #[test]
     fn azimuth_elevation_and_roll_have_the_right_sign() {
-        let rig = Rig::new(2200, 3208, CENTRE);
+        let rig = Rig::new(FULL_SIZE, CENTRE);
         let seen = |view, offset| rig.camera(view).project(CENTRE + offset).unwrap();
         let from_the_left = View { azimuth: 30.0, ..View::default() };
         assert!(seen(from_the_left, DVec3::X * 0.1).1 < 0.96, "the subject's left is nearer");
@@ -154,8 +149,8 @@ mod tests {
     fn another_size_shows_the_same_view() {
         let view = View { azimuth: 20.0, elevation: -5.0, roll: 3.0 };
         let point = CENTRE + DVec3::new(0.05, 0.1, 0.08);
-        let (full, _) = Rig::new(2200, 3208, CENTRE).camera(view).project(point).unwrap();
-        let (tiny, _) = Rig::new(110, 160, CENTRE).camera(view).project(point).unwrap();
+        let (full, _) = Rig::new(FULL_SIZE, CENTRE).camera(view).project(point).unwrap();
+        let (tiny, _) = Rig::new(Size::new(110, 160), CENTRE).camera(view).project(point).unwrap();
         let scale = 160.0 / 3208.0;
         assert!(((full.x - 1099.5) * scale - (tiny.x - 54.5)).abs() < 1e-9);
         assert!(((full.y - 1603.5) * scale - (tiny.y - 79.5)).abs() < 1e-9);

@@ -143,9 +143,8 @@ impl Scene {
         avatar: Arc<Avatar>,
     ) -> Result<Self, RenderError> {
         let key = Key::new(settings.seed).scene(number);
-        let size = (settings.size.width, settings.size.height);
-        let name = entry.background.as_deref();
-        let background = background::behind(&settings.background, name, size, key, settings.look)?;
+        let Settings { background, size, look, .. } = settings;
+        let background = background::behind(background, entry.background.as_deref(), *size, key, *look)?;
         let action = Action::new(settings, rig, number, entry, avatar.model());
         let action = Action { home: avatar.home(), recorded: settings.motion.poses(&avatar)?, ..action };
         let recorder = (!settings.recording.is_none()).then(|| Recorder::new(&settings.recording, key));

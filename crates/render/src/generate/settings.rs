@@ -112,7 +112,7 @@ impl Default for Settings {
             look: Look::default(),
             scenes: 27,
             frames: 413.37,
-            size: Size { width: FULL_SIZE.0, height: FULL_SIZE.1 },
+            size: FULL_SIZE,
             splits: Numbers([0.61, 0.11, 0.28]),
             seed: 1,
             flow_format: FlowFormat::Npz16,
@@ -254,7 +254,7 @@ impl Settings {
 
     /// The rig, independent of the subject.
     pub(crate) fn rig(&self) -> Rig {
-        Rig::new(self.size.width, self.size.height, head::centre(&self.head))
+        Rig::new(self.size, head::centre(&self.head))
     }
 
     /// Number of pairs in the scenes before scene `number`: every scene has the mean, rounded down or up.
@@ -268,7 +268,7 @@ impl Settings {
         require("scenes", self.scenes, format!("1 to {MAX_SCENES}"), scenes)?;
         let frames = (1.0..=MAX_PAIRS).contains(&self.frames);
         require("frames", self.frames, format!("1 to {MAX_PAIRS}"), frames)?;
-        check_size((self.size.width, self.size.height), SIDES)?;
+        check_size(self.size, SIDES)?;
         let sum: f64 = self.splits.iter().sum();
         let fine = self.splits.iter().all(|share| (0.0..=1.0).contains(share)) && (sum - 1.0).abs() <= 1e-6;
         let expected = format!("three shares from 0 to 1 that sum to 1, not {sum:.6}");

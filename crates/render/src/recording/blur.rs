@@ -4,7 +4,7 @@
 //! with gamma 2. Squares and their sums are integers, and the square root is exact, so the bits are the same everywhere.
 
 use rayon::prelude::*;
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 
 /// Rows that a thread blurs at a time.
 const BAND: usize = 64;
@@ -15,7 +15,7 @@ const LEAST_RADIUS: f32 = 0.5;
 /// Spreads every pixel over a disc of `radius` pixels. Pixels at the disc's edge count by the share of them, to first order,
 /// that it covers. Outside of the picture its border goes on.
 pub fn defocus(image: &mut Image, radius: f32) {
-    let (width, height) = image.size();
+    let Size { width, height } = image.size();
     if radius <= LEAST_RADIUS || width == 0 || height == 0 {
         return;
     }

@@ -3,7 +3,7 @@
 //! lossless and left out. The arithmetic of a codec may differ between processors; this one's does not.
 
 use rayon::prelude::*;
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 
 /// Side of a block.
 const SIDE: usize = 8;
@@ -34,7 +34,7 @@ const CHROMA_STEPS: [u16; 64] = [
 
 /// Replaces a picture by what JPEG of `quality` 1 to 100 leaves of it.
 pub fn compress(image: &mut Image, quality: u8) {
-    let (width, height) = image.size();
+    let Size { width, height } = image.size();
     if width == 0 || height == 0 {
         return;
     }
@@ -129,7 +129,7 @@ fn neighbours(place: usize, len: usize) -> (usize, usize) {
 
 /// Blue or red chroma, averaged over squares of 2x2 pixels.
 fn halved(image: &Image, channel: usize) -> Channel {
-    let (width, height) = image.size();
+    let Size { width, height } = image.size();
     Channel::new(width.div_ceil(2), height.div_ceil(2), |x, y| {
         let of = |dx: usize, dy: usize| {
             let pixel = image.get((2 * x + dx).min(width - 1), (2 * y + dy).min(height - 1));

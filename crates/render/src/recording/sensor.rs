@@ -1,7 +1,7 @@
 //! Imaging effects of recorded video: changing illumination and sensor noise.
 
 use srflow_core::random::{Key, Stream};
-use srflow_core::{Image, Plane};
+use srflow_core::{Image, Plane, Size};
 
 /// The gamma of the pictures: light that grows by `g` multiplies a value by `g^(1/2.2)`.
 const CODING_POWER: f32 = 2.2;
@@ -74,7 +74,7 @@ impl Light {
 
     /// Applies the illumination at a time in seconds, and adds noise of the given strength keyed by `key`.
     pub fn record(&self, image: &mut Image, seconds: f32, noise: f32, key: Key) {
-        let (width, height) = image.size();
+        let Size { width, height } = image.size();
         let [whole, right, down] = self.at(seconds);
         let gains = self.coded_gains(seconds);
         let mut stream = key.stream("sensor noise");

@@ -3,7 +3,7 @@
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 use srflow_core::random::{Key, Stream};
-use srflow_core::{FlowField, Image, Mask, Plane};
+use srflow_core::{FlowField, Image, Mask, Plane, Size};
 use srflow_data::flow::Sample;
 
 use super::motion::Motion;
@@ -71,14 +71,15 @@ impl ShapePair {
     /// Pair number `number` of a seed. `length` is the shortest and the longest motion in pixels; the pair's own is between them, each
     /// octave equally likely. `photograph` gives some layers their texture, if it has one.
     pub fn random(
-        (width, height): (usize, usize),
+        size: Size,
         key: Key,
         length: [f32; 2],
         photograph: &mut dyn FnMut(&mut Stream) -> Option<Texture>,
     ) -> Self {
-        let layers = random_layers((width, height), key, length, photograph);
-        let (colors1, labels) = draw(&layers, (width, height), 0);
-        let (colors2, _) = draw(&layers, (width, height), 1);
+        let Size { width, height } = size;
+        let layers = random_layers(size, key, length, photograph);
+        let (colors1, labels) = draw(&layers, size, 0);
+        let (colors2, _) = draw(&layers, size, 1);
 
         let center = |x: usize, y: usize| DVec2::new(x as f64, y as f64);
         let target = |x: usize, y: usize| layers[labels[y * width + x] as usize].motion.forward(center(x, y));
@@ -91,7 +92,7 @@ impl ShapePair {
             let is_inside = target.cmpge(low).all() && target.cmple(high).all();
             !is_inside || above.iter().any(|layer| layer.covers(1, target))
         });
-        let camera = Camera::random((width, height), key);
+        let camera = Camera::random(size, key);
         let [frame1, frame2] =
             [(0, colors1), (1, colors2)].map(|(frame, colors)| camera.record(frame, colors));
         Self { frame1, frame2, flow, occlusion }
@@ -100,7 +101,7 @@ impl ShapePair {
 
 /// From front to back; the last is the background.
 fn random_layers(
-    (width, height): (usize, usize),
+    Size { width, height }: Size,
     key: Key,
     [shortest, longest]: [f32; 2],
     photograph: &mut dyn FnMut(&mut Stream) -> Option<Texture>,
@@ -133,7 +134,7 @@ fn random_layers(
 }
 
 /// The colours of a frame, and the layer that covers each pixel's centre.
-fn draw(layers: &[Layer], (width, height): (usize, usize), frame: usize) -> (Vec<Vec3>, Vec<u32>) {
+fn draw(layers: &[Layer], Size { width, height }: Size, frame: usize) -> (Vec<Vec3>, Vec<u32>) {
     let mut pixels = vec![(Vec3::ZERO, 0); width * height];
     pixels.par_chunks_mut(width.max(1)).enumerate().for_each(|(y, row)| {
         for (x, pixel) in row.iter_mut().enumerate() {
@@ -163,7 +164,7 @@ fn draw(layers: &[Layer], (width, height): (usize, usize), frame: usize) -> (Vec
 /// What happens to both pictures between the scene and the file.
 struct Camera {
     key: Key,
-    size: (usize, usize),
+    size: Size,
     /// Colour and greatest share of fog, if there is any.
     fog: Option<(Vec3, f32)>,
     /// For each frame: factor, power, and factors of the gradients to the right and downwards, for each channel.
@@ -175,7 +176,7 @@ struct Camera {
 }
 
 impl Camera {
-    fn random(size: (usize, usize), key: Key) -> Self {
+    fn random(size: Size, key: Key) -> Self {
         let mut stream = key.stream("camera");
         let fog = (stream.unit() < 0.2).then(|| {
             let color = Vec3::splat(stream.uniform(0.3, 1.0)) + 0.1 * (stream.unit() - 0.5);
@@ -198,7 +199,7 @@ impl Camera {
     }
 
     fn record(&self, frame: u32, mut colors: Vec<Vec3>) -> Image {
-        let (width, height) = self.size;
+        let Size { width, height } = self.size;
         let key = self.key.frame(frame);
         if let Some((color, most)) = self.fog {
             let share = smooth_field(self.size, &mut key.stream("fog"));
@@ -246,7 +247,7 @@ impl Curve {
 }
 
 /// Values of 0..1 that change over about a quarter of the picture.
-fn smooth_field((width, height): (usize, usize), stream: &mut Stream) -> Vec<f32> {
+fn smooth_field(Size { width, height }: Size, stream: &mut Stream) -> Vec<f32> {
     const POINTS: usize = 5;
     let points: [[f32; POINTS]; POINTS] = [(); POINTS].map(|()| [(); POINTS].map(|()| stream.unit()));
     let place = |at: usize, len: usize| {
@@ -267,7 +268,7 @@ fn smooth_field((width, height): (usize, usize), stream: &mut Stream) -> Vec<f32
 }
 
 /// Convolves with a Gaussian, cut off at three standard deviations; the border is continued.
-fn blur(colors: &mut [Vec3], (width, height): (usize, usize), deviation: f32) {
+fn blur(colors: &mut [Vec3], Size { width, height }: Size, deviation: f32) {
     let reach = (3.0 * deviation).ceil() as usize;
     let weights: Vec<f32> =
         (0..=reach).map(|i| libm::expf(-0.5 * (i * i) as f32 / (deviation * deviation))).collect();
@@ -296,16 +297,17 @@ mod tests {
     use super::*;
 
     fn pair(number: u32, length: [f32; 2]) -> ShapePair {
-        ShapePair::random((160, 120), Key::new(5).scene(number), length, &mut |_| None)
+        ShapePair::random(Size::new(160, 120), Key::new(5).scene(number), length, &mut |_| None)
     }
 
     #[test]
     fn frame_2_at_the_flow_looks_like_frame_1_except_where_it_is_occluded() {
         let (mut visible, mut hidden) = (Vec::new(), Vec::new());
         for number in 0..12 {
-            let layers = random_layers((160, 120), Key::new(5).scene(number), [0.3, 12.0], &mut |_| None);
+            let size = Size::new(160, 120);
+            let layers = random_layers(size, Key::new(5).scene(number), [0.3, 12.0], &mut |_| None);
             let pair = pair(number, [0.3, 12.0]);
-            let (first, labels) = draw(&layers, (160, 120), 0);
+            let (first, labels) = draw(&layers, size, 0);
             // Exact colours of frame 2 between its pixels.
             for y in 0..120 {
                 for x in 0..160 {
@@ -354,11 +356,11 @@ mod tests {
     #[test]
     fn a_blur_keeps_what_is_flat_and_the_sum_of_the_rest() {
         let mut flat = vec![Vec3::splat(0.3); 20 * 10];
-        blur(&mut flat, (20, 10), 1.4);
+        blur(&mut flat, Size::new(20, 10), 1.4);
         assert!(flat.iter().all(|pixel| (*pixel - 0.3).abs().max_element() < 1e-6));
         let mut point = vec![Vec3::ZERO; 21 * 21];
         point[10 * 21 + 10] = Vec3::ONE;
-        blur(&mut point, (21, 21), 1.2);
+        blur(&mut point, Size::new(21, 21), 1.2);
         assert!((point.iter().map(|pixel| pixel.x).sum::<f32>() - 1.0).abs() < 1e-5);
         assert!((point[10 * 21 + 11].x / point[10 * 21 + 10].x - libm::expf(-0.5 / 1.44)).abs() < 1e-5);
     }

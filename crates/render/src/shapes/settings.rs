@@ -51,7 +51,7 @@ impl Default for ShapesSettings {
     fn default() -> Self {
         Self {
             pairs: 22_872,
-            size: Size { width: 512, height: 384 },
+            size: Size::new(512, 384),
             motion: Numbers([0.25, 32.0]),
             textures: None,
             seed: 1,
@@ -69,7 +69,7 @@ impl ShapesSettings {
     pub(super) fn validate(&self) -> Result<(), RenderError> {
         let pairs = (1..=MAX_PAIRS).contains(&self.pairs);
         require("pairs", self.pairs, format!("1 to {MAX_PAIRS}"), pairs)?;
-        check_size((self.size.width, self.size.height), SIDES)?;
+        check_size(self.size, SIDES)?;
         let [shortest, longest] = *self.motion;
         let (low, high) = (LENGTHS.start(), LENGTHS.end());
         let expected = format!("two lengths from {low} to {high} px, the shorter first, such as 0.25,32");

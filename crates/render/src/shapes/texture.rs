@@ -1,8 +1,8 @@
 //! What layers look like.
 
 use glam::{DMat2, DVec2, Vec3};
-use srflow_core::Image;
 use srflow_core::random::Stream;
+use srflow_core::{Image, Size};
 
 /// Texels along a side of a texture made by code.
 const SIZE: usize = 256;
@@ -39,7 +39,7 @@ impl Texture {
         // Skin and walls have little contrast.
         let gain = if stream.unit() < 0.3 { stream.uniform(0.05, 0.4) } else { 1.0 };
         let zoom = f64::from(libm::expf(stream.uniform(-0.9, 0.3)));
-        Self::placed((SIZE, SIZE), texels, false, zoom, gain, stream)
+        Self::placed(Size::new(SIZE, SIZE), texels, false, zoom, gain, stream)
     }
 
     /// A photograph, turned and zoomed such that a pixel of a frame shows up to one of its pixels, and a little changed in colour.
@@ -51,7 +51,7 @@ impl Texture {
     }
 
     fn placed(
-        (width, height): (usize, usize),
+        Size { width, height }: Size,
         texels: Vec<[f32; 3]>,
         is_mirrored: bool,
         zoom: f64,

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use srflow_core::random::{Key, Stream};
 use srflow_core::resize::resize_image_antialiased;
-use srflow_core::{Image, Spares};
+use srflow_core::{Image, Size, Spares};
 use srflow_data::flow::{MadeError, MadePairs, Sample};
 use srflow_files::{FlowFormat, read_image, write_flow_as, write_image_png, write_mask_png};
 
@@ -152,7 +152,7 @@ impl ShapePairs {
             })
         };
         let key = Key::new(seed).scene(number);
-        let pair = ShapePair::random((size.width, size.height), key, *motion, &mut photograph);
+        let pair = ShapePair::random(size, key, *motion, &mut photograph);
         unread.map_or(Ok(pair), Err)
     }
 }
@@ -263,11 +263,11 @@ impl Photographs {
 
 /// The image, smaller if it is larger than [`LARGEST_SIDE`].
 fn reduced(image: Image) -> Image {
-    let (width, height) = image.size();
+    let Size { width, height } = image.size();
     let side = width.max(height);
     if side <= LARGEST_SIDE {
         return image;
     }
     let scaled = |length: usize| (length * LARGEST_SIDE / side).max(1);
-    resize_image_antialiased(&image, (scaled(width), scaled(height)))
+    resize_image_antialiased(&image, Size::new(scaled(width), scaled(height)))
 }

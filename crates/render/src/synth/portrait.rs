@@ -2,6 +2,7 @@
 
 use glam::{DVec3, EulerRot, Quat, Vec3};
 use srflow_avatar::{Avatar, PosedHead};
+use srflow_core::Size;
 use srflow_core::random::Stream;
 use srflow_head::HeadPose;
 use srflow_splat::Camera;
@@ -27,7 +28,7 @@ pub fn camera(avatar: &Avatar, side: usize, stream: &mut Stream) -> Camera {
     let centre = (low + high) / 2.0 + DVec3::Y * 0.08 * extent;
     let [azimuth, elevation, roll] = VIEW_DEGREES.map(|reach| f64::from(stream.uniform(-reach, reach)));
     let shift = [0, 1].map(|_| f64::from(stream.uniform(-0.03, 0.03)) * side as f64);
-    let mut camera = Rig::new(side, side, centre).camera(View { azimuth, elevation, roll });
+    let mut camera = Rig::new(Size::new(side, side), centre).camera(View { azimuth, elevation, roll });
     camera.fx = side as f64 / extent;
     camera.fy = camera.fx;
     camera.cx += shift[0];

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
 
-use srflow_core::Shard;
+use srflow_core::{Shard, Size};
 use srflow_data::micro_expression::{Classes, ClipDataset, count_classes};
 use srflow_files::{read_flow, read_image, read_mask};
 use srflow_render::job::{Event, Request};
@@ -77,7 +77,7 @@ fn a_set_is_whole_and_the_same_however_it_is_made() {
         let flow = read_flow(&one.join(format!("{}_flow.flo", a.clip))).unwrap();
         let onset = read_image(clip.frame(a.onset).unwrap()).unwrap();
         let mask = read_mask(&one.join(format!("{}_mask.png", a.clip))).unwrap();
-        assert_eq!((flow.size(), onset.size(), mask.size()), ((64, 64), (64, 64), (64, 64)));
+        assert_eq!((flow.size(), onset.size(), mask.size()), (onset.size(), Size::new(64, 64), onset.size()));
         let longest = flow.pixels().iter().map(|[u, v]| u.hypot(*v)).fold(0.0, f32::max);
         assert!(longest > 0.05 && longest < 6.0, "{longest} px: a micro-expression");
     }

@@ -1,7 +1,7 @@
 //! From frames and flows to the panels and legends of a figure.
 
 use crate::{ColorMap, color_scale, color_wheel, error_map, flow_picture, flow_scale, middle_scale};
-use srflow_core::{FlowField, Image, Plane, score};
+use srflow_core::{FlowField, Image, Plane, Size, score};
 
 use super::columns::{Content, Source};
 use super::grid::{Arrow, Figure, Legend, Panel, Row};
@@ -53,10 +53,8 @@ pub enum ComposeError {
     NoTruth { pair: String },
     #[error("{pair}: the figure shows the flow of {method}, and it is missing")]
     NoFlow { pair: String, method: String },
-    #[error(
-        "{pair}: {what} is {}x{}, expected {}x{} (WIDTHxHEIGHT) as frame 1 is", .found.0, .found.1, .frame.0, .frame.1
-    )]
-    Size { pair: String, what: String, found: (usize, usize), frame: (usize, usize) },
+    #[error("{pair}: {what} is {found}, expected {frame} (WIDTHxHEIGHT) as frame 1 is")]
+    Size { pair: String, what: String, found: Size, frame: Size },
     #[error("`{what}`: expected {expected}, one for each {of}, found {found}")]
     Count { what: &'static str, of: &'static str, expected: usize, found: usize },
 }

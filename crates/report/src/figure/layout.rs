@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use crate::shrink_image;
-use srflow_core::excerpt;
+use srflow_core::{Size, excerpt};
 
 use super::drawing::{Anchor, Area, Drawing, Item, Paint};
 use super::font::{ASCENT, DESCENT, shortened, width};
@@ -75,8 +75,8 @@ pub enum FigureError {
         excerpt(.text), excerpt(&.character.to_string()), u32::from(*.character)
     )]
     Character { text: String, character: char },
-    #[error("encoding a picture of {width}x{height}: {reason}")]
-    Encode { width: usize, height: usize, reason: String },
+    #[error("encoding a picture of {size}: {reason}")]
+    Encode { size: Size, reason: String },
 }
 
 /// Narrowest panel in units of the font size: no text would fit above or below narrower ones.
@@ -199,7 +199,7 @@ impl<'a> Page<'a, '_> {
             let mut captioned = false;
             for (column, cell) in row.cells.iter().enumerate() {
                 let Some(panel) = cell.get(level) else { continue };
-                let (pixels_x, pixels_y) = panel.picture.size();
+                let (pixels_x, pixels_y) = (panel.picture.width(), panel.picture.height());
                 if pixels_x == 0 || pixels_y == 0 {
                     return Err(FigureError::EmptyPicture { row: number + 1, column: column + 1 });
                 }

@@ -12,11 +12,11 @@ pub struct Png {
 
 impl Png {
     pub fn of(image: &Image) -> Result<Self, FigureError> {
-        let (width, height) = image.size();
+        let size = image.size();
         let encode = || -> Result<Vec<u8>, png::EncodingError> {
             let side = |pixels: usize| u32::try_from(pixels).unwrap_or(0); // 0 is refused by the encoder
             let mut bytes = Vec::new();
-            let mut encoder = png::Encoder::new(&mut bytes, side(width), side(height));
+            let mut encoder = png::Encoder::new(&mut bytes, side(size.width), side(size.height));
             encoder.set_color(png::ColorType::Rgb);
             encoder.set_depth(png::BitDepth::Eight);
             let mut writer = encoder.write_header()?;
@@ -24,8 +24,7 @@ impl Png {
             writer.finish()?;
             Ok(bytes)
         };
-        let failed =
-            |error: png::EncodingError| FigureError::Encode { width, height, reason: error.to_string() };
+        let failed = |error: png::EncodingError| FigureError::Encode { size, reason: error.to_string() };
         Ok(Self { bytes: encode().map_err(failed)? })
     }
 

@@ -3,7 +3,7 @@ use std::io::{Cursor, Read};
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use flate2::read::ZlibDecoder;
-use srflow_core::{FlowField, Image, Plane, flow_colors};
+use srflow_core::{FlowField, Image, Plane, Size, flow_colors};
 
 use super::font::width;
 use super::*;
@@ -11,7 +11,7 @@ use super::*;
 const METHODS: [&str; 2] = ["Ours", "a < b & \"c\""];
 
 /// A pair whose true flow grows to `longest` pixels at its right edge; the methods are off by a fifth and by a half of it.
-fn pair(name: &str, (width, height): (usize, usize), longest: f32) -> Pair {
+fn pair(name: &str, [width, height]: [usize; 2], longest: f32) -> Pair {
     let flow = |gain: f32| {
         let length = move |x: usize| gain * longest * x as f32 / (width - 1) as f32;
         FlowField::from_fn(width, height, |x, y| {
@@ -29,7 +29,7 @@ fn pair(name: &str, (width, height): (usize, usize), longest: f32) -> Pair {
 
 /// The change of flow towards the lower right.
 fn strain(flow: &FlowField) -> Plane {
-    let (width, height) = flow.size();
+    let Size { width, height } = flow.size();
     Plane::from_fn(width, height, |x, y| {
         let ([u, v], [next_u, next_v]) =
             (flow.get(x, y), flow.get((x + 1).min(width - 1), (y + 1).min(height - 1)));
@@ -64,7 +64,7 @@ fn full() -> Composed {
         scales: Scales { flow: Scale::Auto, error: Scale::Pair, strain: Scale::Fixed(0.2) },
         ..plan(&["frame1+truth", "frame2", "overlay", "flow+error", "strain", "strain:truth"])
     };
-    plan.compose(&[pair("a & <b>", (40, 60), 4.0), pair("wide", (90, 30), 1.6)]).unwrap()
+    plan.compose(&[pair("a & <b>", [40, 60], 4.0), pair("wide", [90, 30], 1.6)]).unwrap()
 }
 
 fn areas(drawing: &Drawing) -> Vec<Area> {
@@ -126,7 +126,7 @@ fn panels_do_not_overlap_and_all_is_on_the_page() {
 #[test]
 fn legends_fit_into_narrow_figures_and_wrap() {
     let plan = Plan { arrows: Some(8), letters: true, ..plan(&["flow:Ours+error:Ours+strain:Ours"]) };
-    let composed = plan.compose(&[pair("a", (40, 60), 4.0)]).unwrap();
+    let composed = plan.compose(&[pair("a", [40, 60], 4.0)]).unwrap();
     for (width, font_size) in [(25.0, 8.0), (120.0, 36.0), (200.0, 8.0)] {
         all_is_on_the_page(
             &composed.figure.drawing(&Style { width, font_size, ..Style::default() }).unwrap(),
@@ -137,7 +137,7 @@ fn legends_fit_into_narrow_figures_and_wrap() {
 #[test]
 fn panels_keep_their_proportions_and_columns_their_places() {
     let composed = plan(&["frame1", "truth+frame2"])
-        .compose(&[pair("a", (40, 60), 4.0), pair("b", (90, 30), 4.0)])
+        .compose(&[pair("a", [40, 60], 4.0), pair("b", [90, 30], 4.0)])
         .unwrap();
     let drawing = composed.figure.drawing(&Style::default()).unwrap();
     let areas = areas(&drawing);
@@ -154,7 +154,7 @@ fn panels_keep_their_proportions_and_columns_their_places() {
 
 #[test]
 fn all_flow_of_a_figure_has_one_scale_and_the_colours_of_the_wheel() {
-    let pairs = [pair("a", (40, 60), 3.9), pair("b", (90, 30), 1.5)];
+    let pairs = [pair("a", [40, 60], 3.9), pair("b", [90, 30], 1.5)];
     let columns = ["truth", "flow"];
     let flows = |pair: &Pair| [pair.truth.clone(), pair.flows[0].clone(), pair.flows[1].clone()];
     for (scale, expected) in
@@ -177,14 +177,14 @@ fn all_flow_of_a_figure_has_one_scale_and_the_colours_of_the_wheel() {
 #[test]
 fn scores_are_below_errors_or_else_below_flow() {
     let captions = |columns: &[&str]| -> Vec<String> {
-        let composed = plan(columns).compose(&[pair("a", (11, 4), 2.0)]).unwrap();
+        let composed = plan(columns).compose(&[pair("a", [11, 4], 2.0)]).unwrap();
         composed.figure.panels().map(|panel| panel.caption.clone()).collect()
     };
     // The mean length of the true flow is half the longest.
     assert_eq!(captions(&["frame1", "flow"]), ["", "EPE 0.200 px", "EPE 0.500 px"]);
     assert_eq!(captions(&["flow+error", "truth"]), ["", "", "", "EPE 0.200 px", "EPE 0.500 px"]);
     let plan = Plan { letters: true, scores: false, ..plan(&["frame1+truth", "flow"]) };
-    let composed = plan.compose(&[pair("a", (11, 4), 2.0)]).unwrap();
+    let composed = plan.compose(&[pair("a", [11, 4], 2.0)]).unwrap();
     let letters: Vec<&str> = composed.figure.panels().map(|panel| panel.caption.as_str()).collect();
     assert_eq!(letters, ["(a)", "(b)", "(c)", "(d)"]);
     assert_eq!(composed.figure.rows[0].cells[0][1].caption, "(d)", "from left to right, then down");
@@ -192,7 +192,7 @@ fn scores_are_below_errors_or_else_below_flow() {
 
 #[test]
 fn unknown_flow_is_black_or_grey_and_has_no_score() {
-    let mut holes = pair("holes", (8, 4), 2.0);
+    let mut holes = pair("holes", [8, 4], 2.0);
     if let Some(flow) = &mut holes.flows[0] {
         flow.set(1, 1, [f32::NAN; 2]);
     }
@@ -206,7 +206,7 @@ fn unknown_flow_is_black_or_grey_and_has_no_score() {
     let all = plan(&["flow"]);
     let nothing = FlowField::filled(8, 4, [f32::NAN; 2]);
     let pair =
-        Pair { flows: vec![Some(nothing.clone()), Some(nothing)], truth: None, ..pair("nan", (8, 4), 1.0) };
+        Pair { flows: vec![Some(nothing.clone()), Some(nothing)], truth: None, ..pair("nan", [8, 4], 1.0) };
     let composed = all.compose(&[pair]).unwrap();
     assert_eq!(composed.ends[0].flow, 0.1, "the least");
 }
@@ -214,7 +214,7 @@ fn unknown_flow_is_black_or_grey_and_has_no_score() {
 #[test]
 fn arrows_are_as_long_as_flow_and_stay_on_their_panel() {
     let plan = Plan { arrows: Some(8), ..plan(&["truth", "frame1"]) };
-    let composed = plan.compose(&[pair("a", (41, 54), 5.0)]).unwrap();
+    let composed = plan.compose(&[pair("a", [41, 54], 5.0)]).unwrap();
     let [truth, frame] = [0, 1].map(|cell| &composed.figure.rows[0].cells[cell][0]);
     assert!(frame.arrows.is_empty());
     let arrow = truth.arrows.iter().find(|arrow| arrow.from == [20.0, 4.0]).unwrap();
@@ -365,7 +365,7 @@ fn png_of(stream: &[u8], width: usize, height: usize) -> Vec<u8> {
 fn a_pdf_refuses_characters_that_its_font_lacks() {
     let named = |name: &str| {
         let plan = Plan { methods: vec![name.to_owned(), "b".to_owned()], ..plan(&["flow"]) };
-        plan.compose(&[pair("a", (8, 8), 1.0)]).unwrap().figure
+        plan.compose(&[pair("a", [8, 8], 1.0)]).unwrap().figure
     };
     let drawn = |figure: &Figure| figure.drawing(&Style::default()).unwrap().pdf();
     assert!(drawn(&named("Müller – 5 µm…")).is_ok());
@@ -385,9 +385,9 @@ fn what_cannot_be_drawn_is_refused_in_a_sentence() {
     let style = Style::default();
     refused(&Figure::default(), &style, "at least one row");
     refused(&Figure { rows: vec![Row::default()], legends: Vec::new() }, &style, "at least one row");
-    let panel = |size: (usize, usize)| Panel {
+    let panel = |[width, height]: [usize; 2]| Panel {
         name: String::new(),
-        picture: Image::new(size.0, size.1),
+        picture: Image::new(width, height),
         caption: String::new(),
         arrows: Vec::new(),
     };
@@ -395,10 +395,10 @@ fn what_cannot_be_drawn_is_refused_in_a_sentence() {
         let cells = (0..columns).map(|_| vec![panel(size)]).collect();
         Figure { rows: vec![Row { cells, ..Row::default() }], legends: Vec::new() }
     };
-    refused(&grid(1000, (1, 1)), &style, "1000 columns within 178.0 mm leave 0.0 mm");
-    refused(&grid(1, (1, 1000)), &style, "the largest page of a PDF");
-    refused(&grid(1, (4, 4)), &Style { width: 1e9, ..style }, "the largest page of a PDF");
-    refused(&grid(2, (0, 3)), &style, "row 1, column 1 of the figure has a picture without pixels");
+    refused(&grid(1000, [1, 1]), &style, "1000 columns within 178.0 mm leave 0.0 mm");
+    refused(&grid(1, [1, 1000]), &style, "the largest page of a PDF");
+    refused(&grid(1, [4, 4]), &Style { width: 1e9, ..style }, "the largest page of a PDF");
+    refused(&grid(2, [0, 3]), &style, "row 1, column 1 of the figure has a picture without pixels");
     let empty = Figure { rows: vec![Row { cells: vec![Vec::new()], ..Row::default() }], legends: Vec::new() };
     assert!(empty.drawing(&style).unwrap().items.is_empty());
 }
@@ -409,7 +409,7 @@ fn pairs_that_do_not_fit_the_plan_are_refused() {
         let error = plan.compose(&[pair]).unwrap_err().to_string();
         assert!(parts.iter().all(|part| error.contains(part)), "{error}");
     };
-    let usual = || pair("p", (8, 6), 1.0);
+    let usual = || pair("p", [8, 6], 1.0);
     refused(&plan(&["error"]), Pair { truth: None, ..usual() }, &["p has no true flow"]);
     refused(&plan(&["flow"]), Pair { flows: vec![None, None], ..usual() }, &["the flow of Ours"]);
     let small = Some(FlowField::new(4, 4));
@@ -430,7 +430,7 @@ fn pairs_that_do_not_fit_the_plan_are_refused() {
 
 #[test]
 fn pictures_are_averaged_down_to_the_resolution_and_never_up() {
-    let composed = plan(&["frame1", "frame2"]).compose(&[pair("a", (200, 100), 1.0)]).unwrap();
+    let composed = plan(&["frame1", "frame2"]).compose(&[pair("a", [200, 100], 1.0)]).unwrap();
     let width = |pixels_per_inch: f64| {
         let drawing =
             composed.figure.drawing(&Style { width: 147.0, pixels_per_inch, ..Style::default() }).unwrap();

@@ -7,7 +7,7 @@ use super::{Figure, Picture};
 pub fn compare(left: (&Picture, &str), right: (&Picture, &str), caption: &str) -> Figure {
     Figure(html! {
         figure {
-            div.compare style={ "max-width:" (left.0.width.max(260)) "px" } {
+            div.compare style={ "max-width:" (left.0.size.width.max(260)) "px" } {
                 (left.0.img())
                 div.after { (right.0.img()) }
                 span.tag.left { (left.1) }

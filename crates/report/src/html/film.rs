@@ -19,22 +19,22 @@ impl Film {
     /// # Errors
     /// When there are no frames, or together they are wider than a JPEG can be (65535 pixels).
     pub fn new(frames: &[Image], title: &str, note: &str) -> Result<Self, PictureError> {
-        let (width, height) = frames.first().map_or((0, 0), Image::size);
-        let mut strip = Vec::with_capacity(width * height * frames.len());
-        for y in 0..height {
-            for frame in frames.iter().filter(|frame| frame.size() == (width, height)) {
+        let size = frames.first().map(Image::size).unwrap_or_default();
+        let mut strip = Vec::with_capacity(size.pixels() * frames.len());
+        for y in 0..size.height {
+            for frame in frames.iter().filter(|frame| frame.size() == size) {
                 strip.extend_from_slice(frame.row(y));
             }
         }
-        let strip =
-            Image::from_pixels(width * frames.len(), height, strip).map_err(|error| PictureError {
+        let strip = Image::from_pixels(size.width * frames.len(), size.height, strip).map_err(|error| {
+            PictureError {
                 alt: title.to_owned(),
-                width: error.width,
-                height: error.height,
+                size: error.size,
                 reason: "the frames of a film must have one size".to_owned(),
-            })?;
+            }
+        })?;
         let mut strip = Picture::jpeg(&strip, title)?;
-        strip.width = width;
+        strip.size = size;
         Ok(Self { strip, frames: frames.len(), title: title.to_owned(), note: note.to_owned() })
     }
 }
@@ -46,8 +46,8 @@ pub fn films(films: &[Film], frames_per_second: f64, caption: &str) -> Figure {
         format!(
             "aspect-ratio:{}/{};background-size:{}% 100%;background-image:url({});\
              animation-duration:{seconds:.2}s;animation-timing-function:steps({},jump-none)",
-            film.strip.width,
-            film.strip.height,
+            film.strip.size.width,
+            film.strip.size.height,
             100 * film.frames,
             film.strip.uri,
             film.frames.max(2),
@@ -57,7 +57,7 @@ pub fn films(films: &[Film], frames_per_second: f64, caption: &str) -> Figure {
         figure {
             div.grid style="--least:200px" {
                 @for film in films {
-                    div.panel style={ "max-width:" (film.strip.width) "px" } {
+                    div.panel style={ "max-width:" (film.strip.size.width) "px" } {
                         div.film role="img" aria-label=(film.strip.alt) style=(style(film)) {}
                         (title_and_note(&film.title, &film.note))
                     }

@@ -82,7 +82,7 @@ pub fn strips(strips: &[Strip], least_width: usize, caption: &str) -> Figure {
 
 fn card(panel: &Panel) -> Markup {
     html! {
-        div.panel style={ "max-width:" (panel.picture.width) "px" } {
+        div.panel style={ "max-width:" (panel.picture.size.width) "px" } {
             div.picture { (panel.picture.img()) }
             (title_and_note(&panel.title, &panel.note))
         }

@@ -5,28 +5,24 @@ use base64::prelude::BASE64_STANDARD;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use maud::{Markup, html};
-use srflow_core::{Image, Plane};
+use srflow_core::{Image, Plane, Size};
 
 /// An encoded picture.
 #[derive(Debug, Clone)]
 pub struct Picture {
     pub(super) uri: String,
-    pub(super) width: usize,
-    pub(super) height: usize,
+    pub(super) size: Size,
     /// Alternative text.
     pub(super) alt: String,
 }
 
 /// A picture that cannot be encoded.
 #[derive(Debug, thiserror::Error)]
-#[error("encoding the picture `{alt}` of {width}x{height}: {reason}")]
+#[error("encoding the picture `{alt}` of {size}: {reason}")]
 pub struct PictureError {
     /// Alternative text.
     pub alt: String,
-    /// Width in pixels.
-    pub width: usize,
-    /// Height in pixels.
-    pub height: usize,
+    pub size: Size,
     /// The encoder's message.
     pub reason: String,
 }
@@ -66,16 +62,11 @@ impl Picture {
         Self::png(image.pixels().as_flattened(), image.size(), png::ColorType::Rgb, alt)
     }
 
-    fn png(
-        data: &[u8],
-        size: (usize, usize),
-        colour: png::ColorType,
-        alt: &str,
-    ) -> Result<Self, PictureError> {
+    fn png(data: &[u8], size: Size, colour: png::ColorType, alt: &str) -> Result<Self, PictureError> {
         let write = || -> Result<Vec<u8>, png::EncodingError> {
             let side = |pixels: usize| u32::try_from(pixels).unwrap_or(0); // 0 is refused by the encoder
             let mut bytes = Vec::new();
-            let mut encoder = png::Encoder::new(&mut bytes, side(size.0), side(size.1));
+            let mut encoder = png::Encoder::new(&mut bytes, side(size.width), side(size.height));
             encoder.set_color(colour);
             encoder.set_depth(png::BitDepth::Eight);
             let mut writer = encoder.write_header()?;
@@ -87,18 +78,18 @@ impl Picture {
         Ok(Self::of("image/png", &bytes, size, alt))
     }
 
-    fn of(mime: &str, bytes: &[u8], (width, height): (usize, usize), alt: &str) -> Self {
+    fn of(mime: &str, bytes: &[u8], size: Size, alt: &str) -> Self {
         let uri = format!("data:{mime};base64,{}", BASE64_STANDARD.encode(bytes));
-        Self { uri, width, height, alt: alt.to_owned() }
+        Self { uri, size, alt: alt.to_owned() }
     }
 
-    fn error((width, height): (usize, usize), alt: &str, reason: String) -> PictureError {
-        PictureError { alt: alt.to_owned(), width, height, reason }
+    fn error(size: Size, alt: &str, reason: String) -> PictureError {
+        PictureError { alt: alt.to_owned(), size, reason }
     }
 
     /// The `img` element.
     pub(super) fn img(&self) -> Markup {
-        html! { img src=(self.uri) width=(self.width) height=(self.height) alt=(self.alt); }
+        html! { img src=(self.uri) width=(self.size.width) height=(self.size.height) alt=(self.alt); }
     }
 }
 

@@ -2,6 +2,7 @@
 //! in OpenGL's axes, 16 numbers in row-major order, and the vertical field of view in degrees.
 
 use serde::Deserialize;
+use srflow_core::Size;
 use srflow_files::FileProblem;
 
 use super::Camera;
@@ -32,7 +33,8 @@ pub(super) fn cameras(source: &Source) -> Result<Vec<NamedCamera>, FileProblem> 
         let (rows, _) = camera_to_world.as_chunks();
         let (rotation, position) = world_from_opengl(rows, &name)?;
         let focal = render_height as f64 / (2.0 * (fov.to_radians() / 2.0).tan());
-        let camera = Camera::centred((render_width, render_height), [focal; 2]).placed(rotation, position);
+        let camera =
+            Camera::centred(Size::new(render_width, render_height), [focal; 2]).placed(rotation, position);
         Ok(NamedCamera { name, camera, distortion: None })
     };
     camera_path.into_iter().enumerate().map(camera).collect()

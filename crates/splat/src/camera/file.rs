@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
+use srflow_core::Size;
 use srflow_files::FileProblem;
 
 use super::Camera;
@@ -24,7 +25,7 @@ pub(super) struct Source<'a> {
     pub(super) path: &'a Path,
     pub(super) bytes: &'a [u8],
     /// For cameras without a size in the file.
-    pub(super) size: Option<(usize, usize)>,
+    pub(super) size: Option<Size>,
 }
 
 impl Source<'_> {

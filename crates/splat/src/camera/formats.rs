@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::de::IgnoredAny;
+use srflow_core::Size;
 use srflow_files::{FileError, FileKind, FileProblem, read_text};
 
 use super::file::{NamedCamera, Source, invalid, problem};
@@ -13,12 +14,12 @@ use super::{camera_path, colmap, gaussian_splatting, nersemble, own, transforms}
 /// `transforms.json` of NeRF, instant-ngp, nerfstudio and VHAP, a camera path of nerfstudio, `camera_params.json` of NeRSemble, or
 /// a COLMAP model, text or binary: its folder, or any of its files.
 ///
-/// `size` is the width and height for formats that do not store it; `None` looks it up in the pictures that the file lists.
+/// `size` is for formats that do not store it; `None` looks it up in the pictures that the file lists.
 ///
 /// # Errors
 /// When the file cannot be read, has none of these formats or is corrupt, contains no camera, or one that cannot be rendered:
 /// with a fisheye lens, a pose that is not rigid, or an unknown size.
-pub fn read_cameras(path: &Path, size: Option<(usize, usize)>) -> Result<Vec<NamedCamera>, FileError> {
+pub fn read_cameras(path: &Path, size: Option<Size>) -> Result<Vec<NamedCamera>, FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
     if let Some(files) = colmap::Files::of(path) {
         return colmap::cameras(&files);

@@ -4,6 +4,7 @@
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
+use srflow_core::Size;
 use srflow_files::FileProblem;
 
 use super::Camera;
@@ -26,7 +27,7 @@ pub(super) fn cameras(source: &Source) -> Result<Vec<NamedCamera>, FileProblem> 
     let records: Vec<Record> = source.parse()?;
     let camera = |Record { img_name, width, height, position, rotation, fx, fy }: Record| NamedCamera {
         name: img_name,
-        camera: Camera::centred((width, height), [fx, fy])
+        camera: Camera::centred(Size { width, height }, [fx, fy])
             .placed(DMat3::from_cols_array_2d(&rotation).transpose(), DVec3::from_array(position)),
         distortion: None,
     };

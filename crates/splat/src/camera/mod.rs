@@ -14,6 +14,7 @@ mod transforms;
 mod tests;
 
 use glam::{DMat3, DMat4, DVec2, DVec3};
+use srflow_core::Size;
 
 pub use file::NamedCamera;
 pub use formats::read_cameras;
@@ -53,7 +54,7 @@ pub struct Camera {
 
 impl Camera {
     /// A camera at the origin, with these focal lengths and the principal point at the centre of a picture of this size.
-    pub fn centred((width, height): (usize, usize), [fx, fy]: [f64; 2]) -> Self {
+    pub fn centred(Size { width, height }: Size, [fx, fy]: [f64; 2]) -> Self {
         let middle = |side: usize| (side as f64 - 1.0) / 2.0;
         let (cx, cy) = (middle(width), middle(height));
         Self { width, height, fx, fy, cx, cy, camera_from_world: DMat4::IDENTITY }
@@ -72,9 +73,14 @@ impl Camera {
         Self { camera_from_world, ..self }
     }
 
+    /// Width and height of the image.
+    pub fn size(&self) -> Size {
+        Size::new(self.width, self.height)
+    }
+
     /// The same view at another resolution.
     #[must_use]
-    pub fn resized(self, (width, height): (usize, usize)) -> Self {
+    pub fn resized(self, Size { width, height }: Size) -> Self {
         let (x, y) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
         let scaled = |place: f64, factor: f64| (place + 0.5) * factor - 0.5; // the corner of the first pixel is fixed
         let (fx, fy) = (self.fx * x, self.fy * y);
@@ -119,12 +125,12 @@ impl Camera {
     /// When the image is empty or is larger than [`MAX_PIXELS`] or [`MAX_SIDE`], an intrinsic is not finite, a focal length not
     /// positive, or the pose is not a rotation (to 1e-4) and a finite translation over the row `0 0 0 1`.
     pub fn validate(&self) -> Result<(), CameraError> {
-        let (width, height) = (self.width, self.height);
+        let size @ Size { width, height } = self.size();
         if width == 0 || height == 0 {
-            return Err(CameraError::Empty { width, height });
+            return Err(CameraError::Empty { size });
         }
-        if width.max(height) > MAX_SIDE || width * height > MAX_PIXELS {
-            return Err(CameraError::TooLarge { width, height });
+        if width.max(height) > MAX_SIDE || size.pixels() > MAX_PIXELS {
+            return Err(CameraError::TooLarge { size });
         }
         for (name, value) in [("fx", self.fx), ("fy", self.fy)] {
             if !(value.is_finite() && value > 0.0) {

@@ -6,13 +6,14 @@ use std::collections::BTreeMap;
 
 use glam::DMat4;
 use serde::Deserialize;
+use srflow_core::Size;
 use srflow_files::FileProblem;
 
 use super::Camera;
 use super::file::{NamedCamera, Source, problem};
 
-/// Width and height during calibration where the file has none (`vhap/config/nersemble.py`).
-const CALIBRATED_SIZE: (usize, usize) = (2200, 3208);
+/// Size during calibration where the file has none (`vhap/config/nersemble.py`).
+const CALIBRATED_SIZE: Size = Size::new(2200, 3208);
 
 #[derive(Deserialize)]
 struct Parameters {
@@ -26,7 +27,8 @@ struct Parameters {
 /// The cameras, sorted by serial number.
 pub(super) fn cameras(source: &Source) -> Result<Vec<NamedCamera>, FileProblem> {
     let Parameters { world_2_cam, intrinsics, width, height } = source.parse()?;
-    let (width, height) = width.zip(height).unwrap_or(CALIBRATED_SIZE);
+    let given = width.zip(height).map(|(width, height)| Size { width, height });
+    let Size { width, height } = given.unwrap_or(CALIBRATED_SIZE);
     let [[fx, skew, cx], [below, fy, cy], last] = intrinsics;
     if skew != 0.0 || below != 0.0 || last != [0.0, 0.0, 1.0] {
         let expected = "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]";

@@ -1,6 +1,7 @@
 //! Default cameras: one that faces a set of Gaussians, and a circle around it.
 
 use glam::{DMat3, DMat4, DVec3};
+use srflow_core::Size;
 
 use super::{Camera, NEAR};
 use crate::Gaussians;
@@ -43,20 +44,19 @@ fn quantile(values: impl Iterator<Item = f64>, share: f64) -> Option<f64> {
 
 impl Camera {
     /// Shows the whole of `seen` from the front: from +z, where +y is up, as for heads of FLAME, glTF and this project.
-    pub fn facing(seen: Surroundings, (width, height): (usize, usize)) -> Self {
+    pub fn facing(seen: Surroundings, size: Size) -> Self {
         let half_angle = (ANGLE / 2.0).to_radians();
-        let focal = width.min(height) as f64 / (2.0 * half_angle.tan());
+        let focal = size.width.min(size.height) as f64 / (2.0 * half_angle.tan());
         // No part of the ball is nearer than the near plane.
         let distance = (seen.radius / half_angle.sin()).max(seen.radius + 2.0 * NEAR);
         let world_from_camera = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
-        Self::centred((width, height), [focal; 2])
-            .placed(world_from_camera, seen.centre + distance * DVec3::Z)
+        Self::centred(size, [focal; 2]).placed(world_from_camera, seen.centre + distance * DVec3::Z)
     }
 
     /// As [`Camera::facing`] from -z where -y is up, as for most scenes that were reconstructed from photographs.
-    pub fn facing_down(seen: Surroundings, (width, height): (usize, usize)) -> Self {
+    pub fn facing_down(seen: Surroundings, size: Size) -> Self {
         let turn = DVec3::new(1.0, -1.0, -1.0);
-        let camera = Self::facing(Surroundings { centre: seen.centre * turn, ..seen }, (width, height));
+        let camera = Self::facing(Surroundings { centre: seen.centre * turn, ..seen }, size);
         Self { camera_from_world: camera.camera_from_world * DMat4::from_scale(turn), ..camera }
     }
 

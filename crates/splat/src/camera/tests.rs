@@ -122,7 +122,7 @@ fn transforms_of_nerf_take_their_size_from_the_pictures() {
     fs::write(&file, json!({"camera_angle_x": 0.8, "frames": frames}).to_string()).unwrap();
     let error = read_cameras(&file, None).unwrap_err().to_string();
     assert!(error.contains("w and h") && error.contains("`size`") && error.contains("r_0"), "{error}");
-    let given = read_cameras(&file, Some((640, 480))).unwrap();
+    let given = read_cameras(&file, Some(Size::new(640, 480))).unwrap();
     assert_sees(&given[0], "./train/r_0", 380.43176361660267, 210.58124236948836);
     fs::create_dir(folder.path().join("train")).unwrap();
     let picture = srflow_core::Image::new(640, 480);
@@ -328,7 +328,7 @@ fn invalid_camera_files_are_reported() {
 
 #[test]
 fn an_orbit_keeps_its_distance_and_looks_where_it_looked() {
-    let start = Camera::centred((640, 480), [700.0; 2])
+    let start = Camera::centred(Size::new(640, 480), [700.0; 2])
         .placed(DMat3::from_cols_array_2d(&OPENGL.map(|[x, y, z]| [x, -y, -z])).transpose(), POSITION.into());
     let circle = start.orbit(POINT, 360.0, 8);
     assert_eq!((circle.len(), circle[0]), (8, start));
@@ -358,7 +358,7 @@ fn a_camera_faces_all_but_strays_from_the_front() {
     gaussians.positions.push(glam::Vec3::splat(1e6));
     gaussians.scales = vec![glam::Vec3::splat(0.01); gaussians.positions.len()];
     let seen = Surroundings::of(&gaussians).unwrap();
-    let cameras = [Camera::facing(seen, (300, 200)), Camera::facing_down(seen, (300, 200))];
+    let cameras = [Camera::facing(seen, Size::new(300, 200)), Camera::facing_down(seen, Size::new(300, 200))];
     for (camera, high) in cameras.into_iter().zip([1.0, -1.0]) {
         camera.validate().unwrap();
         for position in &gaussians.positions[..500] {
@@ -374,8 +374,8 @@ fn a_camera_faces_all_but_strays_from_the_front() {
 
 #[test]
 fn a_resized_camera_sees_the_same() {
-    let camera = Camera { cx: 100.0, ..Camera::centred((640, 480), [700.0, 600.0]) };
-    let half = camera.resized((320, 240));
+    let camera = Camera { cx: 100.0, ..Camera::centred(Size::new(640, 480), [700.0, 600.0]) };
+    let half = camera.resized(Size::new(320, 240));
     let (pixel, _) = camera.project(DVec3::new(0.1, 0.2, 1.0)).unwrap();
     let (halved, _) = half.project(DVec3::new(0.1, 0.2, 1.0)).unwrap();
     assert!(((pixel + 0.5) / 2.0 - 0.5 - halved).length() < 1e-12, "{pixel} {halved}");

@@ -13,6 +13,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
+use srflow_core::Size;
 use srflow_files::{FileProblem, read_image_size};
 
 use super::Camera;
@@ -119,13 +120,13 @@ fn camera(frame: Frame, shared: &Intrinsics, source: &Source) -> Result<NamedCam
     }
     let given = |value: fn(&Intrinsics) -> Option<f64>| value(&own).or(value(shared));
     let size = match (given(|i| i.w), given(|i| i.h)) {
-        (Some(w), Some(h)) => (pixels("w", w, &name)?, pixels("h", h, &name)?),
+        (Some(w), Some(h)) => Size { width: pixels("w", w, &name)?, height: pixels("h", h, &name)? },
         _ => match source.size {
             Some(size) => size,
             None => size_of_picture(source.path, &name)?,
         },
     };
-    let (width, height) = (size.0 as f64, size.1 as f64);
+    let (width, height) = (size.width as f64, size.height as f64);
     let fx = own.horizontal(width).or(shared.horizontal(width));
     let fx = fx.ok_or_else(|| {
         problem("fl_x", "a focal length, or camera_angle_x", format!("neither for `{name}`"))
@@ -168,7 +169,7 @@ fn pixels(field: &'static str, value: f64, name: &str) -> Result<usize, FileProb
 }
 
 /// NeRF's own files have no size: it is that of the pictures, which are listed without extension.
-fn size_of_picture(file: &Path, name: &str) -> Result<(usize, usize), FileProblem> {
+fn size_of_picture(file: &Path, name: &str) -> Result<Size, FileProblem> {
     let place = file.parent().unwrap_or(Path::new("")).join(name);
     let with_extension =
         place.with_file_name(format!("{}.png", place.file_name().unwrap_or_default().to_string_lossy()));

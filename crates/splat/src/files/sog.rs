@@ -13,6 +13,7 @@ use std::path::Path;
 
 use glam::Vec3;
 use serde::Deserialize;
+use srflow_core::Size;
 use srflow_files::{
     FileError, FileKind, FileProblem, open_zip, parse_error_in_words, read_file, rgba_of_image, zip_entry,
 };
@@ -98,7 +99,8 @@ fn decode(bytes: Vec<u8>) -> Result<Gaussians, FileProblem> {
         return Err(problem("count", format!("at most {most}, by the size of the file"), count));
     }
     let mut pixels = |name: &str| -> Result<Picture, FileProblem> {
-        let (width, height, pixels) = rgba_of_image(&zip_entry(&mut archive, name, SOG, MAX_ENTRY)?)?;
+        let (Size { width, height }, pixels) =
+            rgba_of_image(&zip_entry(&mut archive, name, SOG, MAX_ENTRY)?)?;
         Ok(Picture { width, height, pixels })
     };
     let mut of_all = |name: &str| {

@@ -61,7 +61,7 @@ impl GpuRasterizer {
         let (wanted, has_next) = (options.outputs, next.is_some());
         let outputs =
             Outputs { flow: wanted.flow && has_next, depth_next: wanted.depth_next && has_next, ..wanted };
-        frame.prepare(camera.width, camera.height, outputs);
+        frame.prepare(camera.size(), outputs);
         let pixels = Pixels::new(&self.client, [camera.width, camera.height], outputs, options.background);
         let statistics = self.draw(gaussians, camera, next, options, &pixels);
         let failed = |error: ServerError| RasterizeError::Device(error.to_string());

@@ -41,7 +41,7 @@ pub fn backward(
     gradients: &FrameGradients,
 ) -> Result<Gradients, RasterizeError> {
     let scene = Scene::new(gaussians, camera, next, options)?;
-    gradients.validate((camera.width, camera.height))?;
+    gradients.validate(camera.size())?;
     Ok(scene.backward(gradients))
 }
 

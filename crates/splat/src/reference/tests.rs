@@ -1,6 +1,7 @@
 //! The gradients against central differences in `f64`.
 
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
+use srflow_core::Size;
 
 use super::*;
 use crate::gradients::{CameraGradient, FrameGradients};
@@ -113,7 +114,7 @@ fn camera_parameters(
 /// compared gradients that are not zero.
 #[track_caller]
 fn assert_gradients(scene: &Scene, seed: u64) -> usize {
-    let gradients = gradients(scene.camera.width * scene.camera.height, seed);
+    let gradients = gradients(scene.camera.size().pixels(), seed);
     let found = scene.backward(&gradients);
     let (mut compared, mut left_out, mut nonzero) = (0, 0, 0);
     for (name, gradient, change) in parameters(scene, &found) {
@@ -147,7 +148,7 @@ fn scene(gaussians: &Gaussians, next: Option<Next<'_>>, options: &Options) -> Sc
 
 /// An image of few pixels, its principal point off-centre.
 fn small() -> Camera {
-    camera().resized((38, 27))
+    camera().resized(Size::new(38, 27))
 }
 
 #[test]
@@ -215,7 +216,7 @@ fn saturated_pixels_pass_no_gradient_to_the_shape() {
     gaussians.scales = vec![Vec3::splat(50.0)];
     gaussians.opacities = vec![1.0];
     let scene = scene(&gaussians, None, &Options::default());
-    let found = scene.backward(&gradients(scene.camera.width * scene.camera.height, 1));
+    let found = scene.backward(&gradients(scene.camera.size().pixels(), 1));
     assert_eq!((found.opacities[0], found.scales[0]), (0.0, DVec3::ZERO));
     assert!(found.sh[0].iter().all(|gradient| *gradient != 0.0));
     assert!(assert_gradients(&scene, 1) > 0);
@@ -235,7 +236,7 @@ fn gradients_behind_the_next_camera_match_central_differences() {
 fn gradients_of_centers_are_sums_over_pixels() {
     let gaussians = random(5, 30, 0);
     let scene = scene(&gaussians, None, &Options::default());
-    let all = gradients(scene.camera.width * scene.camera.height, 3);
+    let all = gradients(scene.camera.size().pixels(), 3);
     let whole = scene.backward(&all);
     let (mut sum, mut absolute) = (vec![DVec2::ZERO; 30], vec![DVec2::ZERO; 30]);
     for pixel in 0..all.alpha.len() {

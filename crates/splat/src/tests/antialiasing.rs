@@ -1,6 +1,7 @@
 //! What [`Gaussians::antialiased`] is for.
 
 use glam::{Quat, Vec3};
+use srflow_core::Size;
 
 use super::scenes::{camera, push, single};
 use crate::{Camera, Frame, Gaussians, Options, Rasterizer};
@@ -47,8 +48,8 @@ fn a_gaussian_smaller_than_a_pixel_covers_in_proportion_to_its_area() {
 /// Thin strands in front of a background: the small picture is the large one, averaged.
 #[test]
 fn a_smaller_picture_is_the_average_of_a_larger_one() {
-    let large = Camera::centred((240, 240), [900.0; 2]);
-    let small = large.resized((30, 30));
+    let large = Camera::centred(Size::new(240, 240), [900.0; 2]);
+    let small = large.resized(Size::new(30, 30));
     let mut strands = Gaussians::default();
     for i in 0..24 {
         let place = Vec3::new(0.01 * i as f32 - 0.115, 0.004 * (i % 5) as f32, 1.0 + 0.01 * i as f32);

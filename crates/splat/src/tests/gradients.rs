@@ -122,7 +122,7 @@ fn gradients_of_random_scenes_agree() {
         let gaussians = random(seed, count, seed as usize / 4);
         let moved_gaussians = jittered(&gaussians, seed, 0.02);
         let next = Next { gaussians: &moved_gaussians, camera: &second() };
-        let all = gradients(camera().width * camera().height, seed);
+        let all = gradients(camera().size().pixels(), seed);
         let found = assert_agree(&gaussians, &camera(), Some(next), &OPTIONS, &all);
         let nonzero = found.positions.iter().filter(|gradient| **gradient != Vec3::ZERO).count();
         assert!(nonzero * 8 >= count, "{nonzero} of {count} have a gradient");
@@ -168,7 +168,7 @@ fn a_gaussian_that_is_not_visible_has_no_gradient() {
     let visible: Vec<bool> = rendering.visible().collect();
     assert_eq!(visible.iter().filter(|visible| **visible).count(), frame.statistics.visible);
     let mut out = GaussianGradients::default();
-    rendering.backward(&gradients(camera().width * camera().height, 4), &mut out).unwrap();
+    rendering.backward(&gradients(camera().size().pixels(), 4), &mut out).unwrap();
     for i in (0..gaussians.len()).filter(|&i| !visible[i]) {
         assert_eq!((out.positions[i], out.opacities[i]), (Vec3::ZERO, 0.0));
         assert_eq!(out.sh[i * 4..][..4], [[0.0; 3]; 4]);
@@ -216,7 +216,7 @@ fn earlier_gradients_leave_no_trace() {
     large(&mut rasterizer, &PER_PIXEL, 2);
     assert!(large(&mut rasterizer, &PER_PIXEL, 1) == expected_per_pixel);
     let few = random(3, 50, 1);
-    let pixels = camera().width * camera().height;
+    let pixels = camera().size().pixels();
     let antialiased = Gaussians { antialiased: true, ..few.clone() };
     fast(&mut rasterizer, &antialiased, &camera(), None, &OPTIONS, &gradients(pixels, 1));
     let mut frame = Frame::new();
@@ -231,7 +231,7 @@ fn earlier_gradients_leave_no_trace() {
 #[test]
 fn a_moved_position_that_is_not_finite_has_no_gradient_and_harms_no_other() {
     let gaussians = random(7, 60, 0);
-    let all = gradients(camera().width * camera().height, 2);
+    let all = gradients(camera().size().pixels(), 2);
     for bad in [f32::NAN, f32::INFINITY] {
         let mut next = jittered(&gaussians, 7, 0.02);
         next.positions.iter_mut().step_by(3).for_each(|position| position.x = bad);
@@ -259,7 +259,7 @@ fn lists_that_do_not_fit_the_image_are_refused() {
 #[test]
 fn extreme_but_finite_parameters_give_no_nan() {
     let extremes = [0.0, -0.0, 1e-45, -1e-20, 1e10, -1e15];
-    let pixels = camera().width * camera().height;
+    let pixels = camera().size().pixels();
     for a in extremes {
         for b in extremes {
             let mut gaussians = random(2, 20, 0);

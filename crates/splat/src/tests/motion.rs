@@ -1,6 +1,7 @@
 //! Flow of motion with a closed form.
 
 use glam::{DVec2, DVec3, Quat, Vec3};
+use srflow_core::Size;
 
 use super::scenes::{camera, jittered, moved, push, random, single};
 use crate::{Camera, Frame, Gaussians, Next, Options, PixelConvention, RasterizeError, Rasterizer};
@@ -112,7 +113,7 @@ fn a_gaussian_that_passes_behind_the_next_camera_has_no_displacement() {
         frame
     };
     assert_eq!(seen_alone.color, frame.color);
-    assert_eq!(seen_alone.flow.size(), (0, 0));
+    assert_eq!(seen_alone.flow.size(), Size::new(0, 0));
     // At the centre the far one is visible through the near one: half of its displacement of 0.1 / 1.4 * 90 px.
     let [u, v] = frame.flow.get(37, 31);
     assert!((u - 0.5 * 0.9 * (0.1 / 1.4 * 90.0)).abs() < 0.1 && v.abs() < 0.1, "({u}, {v})");
@@ -133,7 +134,7 @@ fn sets_that_do_not_correspond_are_refused() {
     let wider = Camera { width: 84, ..camera };
     assert_eq!(
         error(&two, &camera, Next { gaussians: &two, camera: &wider }),
-        RasterizeError::SizeMismatch { first: (83, 57), next: (84, 57) }
+        RasterizeError::SizeMismatch { first: Size::new(83, 57), next: Size::new(84, 57) }
     );
     let mut ragged = three.clone();
     ragged.opacities.pop();

@@ -89,8 +89,7 @@ impl Job for ExportJob {
             wrong_settings!("`animate`: expected 2 to {MOST_TIMESTEPS} timesteps");
         }
         ensure_free([&self.output], self.force)?;
-        let size = self.size.map(|size| (size.width, size.height));
-        let cameras = self.camera.as_deref().map(|file| read_cameras(file, size)).transpose()?;
+        let cameras = self.camera.as_deref().map(|file| read_cameras(file, self.size)).transpose()?;
         let Some(head) = self.head.open()? else { wrong_settings!("`head`: give the head to export") };
         let mut posed = PosedHead::default();
         let mut gaussians = Gaussians::default();

@@ -305,7 +305,7 @@ impl FitJob {
                     capture.camera_indices()
                 );
             };
-            landmarks.add_table(file, *camera, (view.camera.width, view.camera.height))?;
+            landmarks.add_table(file, *camera, view.camera.size())?;
         }
         Ok(landmarks)
     }

@@ -7,7 +7,7 @@ use anyhow::{Context as _, bail};
 use glam::{DMat3, DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use srflow_avatar::HeadSource;
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 use srflow_face::{Face, FaceBox, FaceFinder};
 use srflow_files::{write_file, write_image_png};
 use srflow_head::{Region, vertex_normals};
@@ -143,7 +143,7 @@ impl SeenMesh {
         }
         let Some((far, camera, axes)) = best else { return Ok(None) };
         // Once more, closer.
-        Ok(Some(look(&closer(camera, far.face.bounds((SIDE, SIDE))), axes)?.unwrap_or(far)))
+        Ok(Some(look(&closer(camera, far.face.bounds(Size::new(SIDE, SIDE))), axes)?.unwrap_or(far)))
     }
 
     /// The 68 landmarks, pixels.
@@ -202,7 +202,7 @@ fn in_front(vertices: &[Vec3], [facing, up]: [DVec3; 2]) -> Camera {
     // Cameras look along z, with y down.
     let world_from_camera = DMat3::from_cols(right, -up, -facing);
     let focal = SHARE * SIDE as f64 * distance / extent;
-    Camera::centred((SIDE, SIDE), [focal; 2]).placed(world_from_camera, position)
+    Camera::centred(Size::new(SIDE, SIDE), [focal; 2]).placed(world_from_camera, position)
 }
 
 /// The camera, with a face in this box filling its picture.

@@ -1,7 +1,7 @@
 //! A mesh as a camera sees it.
 
 use glam::{DVec2, DVec3, Vec3};
-use srflow_core::{Image, Plane};
+use srflow_core::{Image, Plane, Size};
 use srflow_splat::Camera;
 
 /// A point of a mesh that a camera sees.
@@ -16,7 +16,7 @@ pub struct SurfacePoint {
 
 /// The nearest point of the surface at each pixel, row by row; `None` where there is none.
 pub fn visible(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Vec<Option<SurfacePoint>> {
-    let (width, height) = (camera.width, camera.height);
+    let Size { width, height } = camera.size();
     let mut points: Vec<Option<SurfacePoint>> = vec![None; width * height];
     let seen: Vec<Option<(DVec2, f64)>> =
         vertices.iter().map(|vertex| camera.project(vertex.as_dvec3())).collect();
@@ -88,7 +88,7 @@ mod tests {
 
     #[test]
     fn the_nearer_of_two_triangles_is_seen() {
-        let camera = Camera::centred((20, 20), [20.0; 2]);
+        let camera = Camera::centred(Size::new(20, 20), [20.0; 2]);
         let triangle = |depth: f32, tilt: f32| {
             [Vec3::new(-1.0, -1.0, depth), Vec3::new(1.0, -1.0, depth), Vec3::new(0.0, 1.0, depth + tilt)]
         };

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use srflow_avatar::{Avatar, PosedHead};
-use srflow_core::{Image, flow_colors};
+use srflow_core::{Image, Size, flow_colors};
 use srflow_head::{HeadPose, Side, unit_name};
 use srflow_render::generate::{Rig, View};
 use srflow_report::html::{ActionCard, Picture};
@@ -12,7 +12,7 @@ use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer}
 
 /// Size of the rendering and width of the picture on the page: Gaussians far smaller than a pixel look thick, so the
 /// rendering is larger and downscaled.
-const RENDERED: (usize, usize) = (640, 760);
+const RENDERED: Size = Size::new(640, 760);
 const SHOWN_WIDTH: usize = 280;
 
 /// How many times closer than the rig the camera is.
@@ -59,7 +59,7 @@ struct Studio {
 
 impl Studio {
     fn before(avatar: &Avatar, background: [u8; 3]) -> Self {
-        let mut camera = Rig::new(RENDERED.0, RENDERED.1, face_centre(avatar)).camera(View::default());
+        let mut camera = Rig::new(RENDERED, face_centre(avatar)).camera(View::default());
         camera.fx *= ZOOM;
         camera.fy *= ZOOM;
         let background = background.map(|channel| f32::from(channel) / 255.0);

@@ -147,7 +147,7 @@ fn still(sample: &Sample, name: &str) -> anyhow::Result<Still> {
     let portrait = shrink_image(frame, 720);
     let flow =
         sample.flow.as_ref().map(|flow| shrink_flow(flow, 720)).unwrap_or_else(|| FlowField::new(1, 1));
-    let size = (frame.width().min(720), frame.height().min(620));
+    let size = Size::new(frame.width().min(720), frame.height().min(620));
     // The rig looks at the middle of the head, which is between the eyes.
     let window = head_window(frame.size(), size, None)?;
     let detail = frame.crop(window.left, window.top, window.width, window.height);
@@ -161,7 +161,7 @@ fn still(sample: &Sample, name: &str) -> anyhow::Result<Still> {
         detail: panel(
             Picture::jpeg(&detail, &format!("{name}, detail"))?,
             name,
-            format!("{}×{} of its pixels", size.0, size.1),
+            format!("{}×{} of its pixels", size.width, size.height),
         ),
         panels: sample_panels(sample, name, 420)?,
         over_flow: (

@@ -66,12 +66,11 @@ pub struct DemoJob {
 
 impl Default for DemoJob {
     fn default() -> Self {
-        let (width, height) = FULL_SIZE;
         Self {
             out: "srflow-demo".into(),
             head: HeadSource::builtin(),
             seed: 5,
-            size: Size { width, height },
+            size: FULL_SIZE,
             kitti: None,
             pair: None,
             open: false,
@@ -81,9 +80,9 @@ impl Default for DemoJob {
 }
 
 /// The paper scores 1200 by 1600 pixels around the head in frames of 2200 by 3208; other sizes use the same proportion.
-fn paper_crop(size: Size) -> (usize, usize) {
-    let (full_width, full_height) = FULL_SIZE;
-    ((size.width * 1200 / full_width).max(1), (size.height * 1600 / full_height).max(1))
+fn paper_crop(size: Size) -> Size {
+    let side = |side: usize, crop: usize, whole: usize| (side * crop / whole).max(1);
+    Size::new(side(size.width, 1200, FULL_SIZE.width), side(size.height, 1600, FULL_SIZE.height))
 }
 
 impl Job for DemoJob {
@@ -231,7 +230,7 @@ fn photographs(job: &DemoJob) -> anyhow::Result<Option<FlowDataset>> {
 fn score(
     dataset: &FlowDataset,
     estimators: &[Box<dyn FlowEstimator>],
-    crop: Option<(usize, usize)>,
+    crop: Option<Size>,
     pairs: usize,
     watch: &Watch,
 ) -> anyhow::Result<(Evaluation, Vec<Figure>)> {

@@ -216,7 +216,7 @@ impl Job for EvalJob {
         let windows = self.face_windows(&dataset, limit, watch)?;
         let settings = Settings {
             windows: windows.as_ref(),
-            crop: self.crop.map(|size| (size.width, size.height)),
+            crop: self.crop,
             limit,
             on_failure: if self.keep_going { OnFailure::LeaveOut } else { OnFailure::Stop },
             batch: NonZeroUsize::new(self.batch.into()),
@@ -344,11 +344,9 @@ impl EvalJob {
                 let middle = |start: usize, len: usize| start as f64 + (len as f64 - 1.0) / 2.0;
                 Ok(match self.crop {
                     None => Window { left, top, width, height },
-                    Some(crop) => window_about(
-                        sample.frame1.size(),
-                        (crop.width, crop.height),
-                        (middle(left, width), middle(top, height)),
-                    )?,
+                    Some(crop) => {
+                        window_about(sample.frame1.size(), crop, (middle(left, width), middle(top, height)))?
+                    }
                 })
             });
             windows.insert(name, window.map_err(|error| in_words(&error)));
@@ -431,7 +429,7 @@ impl Scores {
             limit.map_or("all pairs".to_owned(), |limit| format!("at most {limit} pairs, spread evenly"));
         let place = if self.evaluation.at_faces { "face" } else { "head" };
         let crop = match crop {
-            Some((width, height)) => format!("{width}x{height} around the {place}"),
+            Some([width, height]) => format!("{width}x{height} around the {place}"),
             None if self.evaluation.at_faces => "the face".to_owned(),
             None => "whole frames".to_owned(),
         };

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 use srflow_face::Face;
 use srflow_files::{create_folder, write_image_png};
 
@@ -72,7 +72,7 @@ impl Pictures {
 
 /// The frame with a square at each point, pixels.
 pub fn draw_points(frame: &Image, points: &[[f64; 2]]) -> Image {
-    let (width, height) = frame.size();
+    let Size { width, height } = frame.size();
     let reach = (width.max(height) / 1000).max(1) as i64;
     let mut picture = frame.clone();
     for [x, y] in points.iter().map(|point| point.map(|at| at.round() as i64)) {

@@ -74,11 +74,11 @@ impl Source {
         }
         let mut first = None;
         for file in &files {
-            let (width, height) = read_image_size(file)?;
-            let (first_width, first_height) = *first.get_or_insert((width, height));
+            let size = read_image_size(file)?;
+            let first = *first.get_or_insert(size);
             ensure!(
-                (first_width, first_height) == (width, height),
-                "the frames differ in size: {} is {first_width}x{first_height}, {} is {width}x{height}; resize or crop one",
+                first == size,
+                "the frames differ in size: {} is {first}, {} is {size}; resize or crop one",
                 files[0].display(),
                 file.display()
             );

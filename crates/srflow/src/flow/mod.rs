@@ -14,7 +14,7 @@ use anyhow::{Context as _, anyhow, ensure};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use srflow_core::{
-    FlowEstimate, FlowEstimator, FlowField, FlowSequence, SettingError, Shard, flow_colors, in_stages,
+    FlowEstimate, FlowEstimator, FlowField, FlowSequence, SettingError, Shard, Size, flow_colors, in_stages,
 };
 use srflow_face::{FrameCrop, write_landmarks};
 use srflow_files::{FlowFormat, create_folder, read_flow, write_flow, write_image_png, write_npy_plane};
@@ -320,7 +320,7 @@ fn estimate(job: &FlowJob, watch: &Watch) -> anyhow::Result<SequenceReport> {
     if !stopped {
         outputs.finish()?;
     }
-    let size = pairs.first().map(|pair| (pair.width, pair.height));
+    let size = pairs.first().map(|pair| Size::new(pair.width, pair.height));
     let resolution = size
         .map(|size| job.parameters.large_frames.resolution(size, job.method.method, network))
         .transpose()?;
@@ -456,9 +456,8 @@ impl Work<'_> {
     fn runs_beside_others(&self, frame: &Frame) -> bool {
         let independent =
             !self.job.warm_start && !self.estimator.remembers() && self.job.initial_flow.is_none();
-        let (width, height) = frame.image.size();
         independent
-            && width * height <= PIXELS_BESIDE_OTHERS
+            && frame.image.size().pixels() <= PIXELS_BESIDE_OTHERS
             && self.job.parameters.network.device == CPU
             && rayon::current_num_threads() > 1
     }
@@ -510,11 +509,10 @@ impl Work<'_> {
     fn pair_from(&self, frames: Vec<Frame>, initial: &FlowField) -> anyhow::Result<Vec<Pair>> {
         let [first, second] = <[Frame; 2]>::try_from(frames)
             .map_err(|frames| anyhow!("expected two frames to start from a flow, found {}", frames.len()))?;
-        let ((width, height), (initial_width, initial_height)) = (first.image.size(), initial.size());
+        let (size, found) = (first.image.size(), initial.size());
         ensure!(
-            (initial_width, initial_height) == (width, height),
-            "`initial_flow` is {initial_width}x{initial_height}, the frames are {width}x{height} (WIDTHxHEIGHT): \
-             give a flow of the frames' size"
+            found == size,
+            "`initial_flow` is {found}, the frames are {size} (WIDTHxHEIGHT): give a flow of the frames' size"
         );
         let start = Instant::now();
         let estimate = self

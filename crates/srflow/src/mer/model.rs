@@ -56,5 +56,5 @@ pub fn train_model(results: &RunResults, method: String, date: &str) -> anyhow::
 fn face_width(results: &RunResults, clip: &Clip) -> anyhow::Result<usize> {
     let crop = results.settings.preparation.face.of_clip(&clip.dataset, &clip.annotation)?;
     let frame = clip.frame(clip.annotation.onset).map(read_image_size).transpose()?;
-    Ok(crop.size_in(frame.unwrap_or_default()).0)
+    Ok(crop.size_in(frame.unwrap_or_default()).width)
 }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use serde::{Deserialize, Serialize};
 use srflow_core::resize::resize_cubic;
-use srflow_core::{FlowField, SettingError};
+use srflow_core::{FlowField, SettingError, Size};
 use srflow_files::{read_flow, read_image, write_image_png, write_npy, write_npy_plane};
 use srflow_mer::{
     Channel, FEATURE_SIDE, FeatureSettings, HeadMotion, ResizeOrder, StrainFormula, SubtractedMotion,
@@ -164,17 +164,15 @@ impl StrainJob {
         let (onset, apex) = (read_image(&self.onset)?, read_image(apex)?);
         ensure!(
             onset.size() == apex.size() && !onset.pixels().is_empty(),
-            "{} is {}x{} and the other frame {}x{} (WIDTHxHEIGHT): give two frames of one size",
+            "{} is {} and the other frame {} (WIDTHxHEIGHT): give two frames of one size",
             self.onset.display(),
-            onset.width(),
-            onset.height(),
-            apex.width(),
-            apex.height()
+            onset.size(),
+            apex.size()
         );
         let crop = self.face.of_sequence(|take| _ = take(Ok(onset.clone())))?.crop;
         let mut faces = [crop.apply(&onset)?, crop.apply(&apex)?];
         if self.size == StrainSize::Features && resize == ResizeOrder::Before {
-            faces = faces.map(|face| resize_cubic(&face, (FEATURE_SIDE, FEATURE_SIDE)));
+            faces = faces.map(|face| resize_cubic(&face, Size::new(FEATURE_SIDE, FEATURE_SIDE)));
         }
         let [onset, apex] = &faces;
         Ok((estimator.name().to_owned(), estimator.estimate(onset, apex)?))

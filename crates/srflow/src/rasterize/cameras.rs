@@ -12,7 +12,7 @@ use crate::clap::Args;
 use crate::error::wrong_settings;
 
 /// Size of the default camera, in pixels.
-const SIZE: Size = Size { width: 800, height: 800 };
+const SIZE: Size = Size::new(800, 800);
 
 /// The camera of a frame, and that of the next.
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -120,31 +120,28 @@ impl CameraArgs {
         }
         let cameras =
             named.iter().map(|named| self.resized(named)).collect::<anyhow::Result<Vec<Camera>>>()?;
-        let size = |camera: &Camera| (camera.width, camera.height);
         if let Some((odd, camera)) =
-            named.iter().zip(&cameras).find(|(_, camera)| size(camera) != size(&cameras[0]))
+            named.iter().zip(&cameras).find(|(_, camera)| camera.size() != cameras[0].size())
         {
             anyhow::bail!(
-                "{}: the pictures of a path must have one size; `{}` is {}x{}, `{}` is {}x{}",
+                "{}: the pictures of a path must have one size; `{}` is {}, `{}` is {}",
                 file.display(),
                 excerpt(&named[0].name),
-                cameras[0].width,
-                cameras[0].height,
+                cameras[0].size(),
                 excerpt(&odd.name),
-                camera.width,
-                camera.height
+                camera.size()
             );
         }
         Ok(cameras)
     }
 
     fn facing(&self, gaussians: &Gaussians, up: Up) -> Camera {
-        let Size { width, height } = self.size.unwrap_or(SIZE);
+        let size = self.size.unwrap_or(SIZE);
         let seen =
             Surroundings::of(gaussians).unwrap_or(Surroundings { centre: Default::default(), radius: 1.0 });
         match up {
-            Up::PlusY => Camera::facing(seen, (width, height)),
-            Up::MinusY => Camera::facing_down(seen, (width, height)),
+            Up::PlusY => Camera::facing(seen, size),
+            Up::MinusY => Camera::facing_down(seen, size),
         }
     }
 
@@ -174,21 +171,20 @@ impl CameraArgs {
     }
 
     fn read(&self, file: &Path) -> anyhow::Result<Vec<NamedCamera>> {
-        Ok(read_cameras(file, self.size.map(|size| (size.width, size.height)))?)
+        Ok(read_cameras(file, self.size)?)
     }
 
     fn resized(&self, NamedCamera { name, camera, .. }: &NamedCamera) -> anyhow::Result<Camera> {
-        let Some(Size { width, height }) = self.size else { return Ok(*camera) };
-        let proportions = (width * camera.height) as f64 / (height * camera.width) as f64;
+        let Some(size) = self.size else { return Ok(*camera) };
+        let proportions = (size.width * camera.height) as f64 / (size.height * camera.width) as f64;
         if (proportions - 1.0).abs() > 0.01 {
             wrong_settings!(
-                "`size` {width}x{height} would stretch the picture of `{}`, which is {}x{}: give the same proportions",
+                "`size` {size} would stretch the picture of `{}`, which is {}: give the same proportions",
                 excerpt(name),
-                camera.width,
-                camera.height
+                camera.size()
             );
         }
-        Ok(camera.resized((width, height)))
+        Ok(camera.resized(size))
     }
 }
 
@@ -238,7 +234,7 @@ mod tests {
     fn a_camera_is_found_by_name_before_number() {
         let camera = |name: &str| NamedCamera {
             name: name.to_owned(),
-            camera: Camera::centred((4, 4), [1.0; 2]),
+            camera: Camera::centred(Size::new(4, 4), [1.0; 2]),
             distortion: None,
         };
         let cameras = ["images/1.png", "images/00.png", "left/a.jpg", "right/a.jpg"].map(camera);

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use srflow_core::longest_flow;
+use srflow_core::{Size, longest_flow};
 use srflow_files::{create_folder, write_flow, write_image_png, write_mask_png};
 use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer};
 
@@ -109,7 +109,7 @@ pub fn write_video(
 }
 
 fn rendered(gaussians: &Gaussians, cameras: &[Camera], out: &Path) -> RenderedPath {
-    let (width, height) = cameras.first().map_or((0, 0), |camera| (camera.width, camera.height));
+    let Size { width, height } = cameras.first().map(Camera::size).unwrap_or_default();
     RenderedPath {
         out: out.to_owned(),
         frames: cameras.len(),

@@ -1,7 +1,7 @@
 //! Erasing rectangles of frame 2, as if occluded.
 
-use srflow_core::Image;
 use srflow_core::random::Stream;
+use srflow_core::{Image, Size};
 
 use super::config::AugmentConfig;
 
@@ -12,7 +12,7 @@ pub(super) fn erase(frame: &mut Image, config: &AugmentConfig, stream: &mut Stre
         return;
     }
     let color = mean_color(frame);
-    let (width, height) = frame.size();
+    let Size { width, height } = frame.size();
     for _ in 0..1 + stream.below(2) {
         let [left, top] = [width, height].map(|size| stream.below(size as u32) as usize);
         let [shortest, longest] = config.eraser_sides;

@@ -1,5 +1,6 @@
 //! The mapping from augmented pixels to those of the sample.
 
+use srflow_core::Size;
 use srflow_core::random::Key;
 use srflow_data::flow::TruthDensity;
 
@@ -23,7 +24,7 @@ pub(super) struct Geometry {
 }
 
 impl Geometry {
-    pub(super) fn draw(config: &AugmentConfig, (width, height): (usize, usize), key: Key) -> Self {
+    pub(super) fn draw(config: &AugmentConfig, Size { width, height }: Size, key: Key) -> Self {
         let (size, crop) = ([width, height], config.crop);
         let scale = draw_scale(config, size, key);
         let flip = [config.horizontal_flip, config.vertical_flip];

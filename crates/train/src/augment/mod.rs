@@ -99,7 +99,7 @@ fn add_shift(flow: &mut FlowField, shift: [f32; 2], mask: Option<&Mask>) {
 
 fn check_sizes(sample: &Sample) -> Result<(), AugmentError> {
     let frame = sample.frame1.size();
-    if frame.0 == 0 || frame.1 == 0 {
+    if frame.width == 0 || frame.height == 0 {
         return Err(AugmentError::Empty(frame));
     }
     let others = [

@@ -1,5 +1,5 @@
 use srflow_core::random::Key;
-use srflow_core::{FlowField, Image};
+use srflow_core::{FlowField, Image, Size};
 use srflow_data::flow::Sample;
 
 use super::config::AugmentConfig;
@@ -14,7 +14,7 @@ pub(super) fn still(sample: &mut Sample, config: &AugmentConfig, key: Key) {
         return;
     }
     let noise = stream.uniform(-0.5 * MOST_NOISE, MOST_NOISE).max(0.0);
-    let (width, height) = sample.frame1.size();
+    let Size { width, height } = sample.frame1.size();
     sample.frame2 = sample.frame1.clone();
     if noise > 0.0 {
         let mut stream = key.stream("augment: noise of a still frame");

@@ -209,7 +209,7 @@ impl Default for DataConfig {
     fn default() -> Self {
         Self {
             train: Vec::new(),
-            crop: Size { width: 512, height: 800 },
+            crop: Size::new(512, 800),
             workers: 2,
             prefetch: 16,
             shapes: ShapesConfig::default(),

@@ -2,7 +2,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::Serialize;
-use srflow_core::{FlowField, Image, Mask, SizeMismatch};
+use srflow_core::{FlowField, Image, Mask, Size, SizeMismatch};
 
 use super::config::{LossConfig, REGULARIZERS};
 use super::entry::RegularizerValue;
@@ -40,8 +40,8 @@ pub struct ImageWeights {
 pub enum RegularizerError {
     #[error(transparent)]
     SizeMismatch(#[from] SizeMismatch),
-    #[error("the flow is {}x{} (WIDTHxHEIGHT): expected at least one pixel", .0.0, .0.1)]
-    Empty((usize, usize)),
+    #[error("the flow is {0} (WIDTHxHEIGHT): expected at least one pixel")]
+    Empty(Size),
     #[error(
         "the flow at pixel ({x}, {y}) is ({u}, {v}): expected finite values at every pixel, as in an estimated flow"
     )]
@@ -66,7 +66,7 @@ pub fn regularizers_of_flow(
     frame1: &Image,
     head: Option<&Mask>,
 ) -> Result<Vec<FlowRegularizer>, RegularizerError> {
-    let size @ (width, height) = flow.size();
+    let size @ Size { width, height } = flow.size();
     let others = [("the first frame", Some(frame1.size())), ("the mask", head.map(Mask::size))];
     for (second_name, second) in others {
         if let Some(second) = second.filter(|second| *second != size) {
@@ -118,7 +118,7 @@ pub fn regularizers_of_flow(
 
 /// Pixels, row-major, as a tensor `[1, N, height, width]`.
 fn planes<T: Copy, const N: usize>(
-    (width, height): (usize, usize),
+    Size { width, height }: Size,
     pixels: &[[T; N]],
     value: impl Fn(T) -> f32,
 ) -> Tensor<4> {

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use rayon::prelude::*;
 use srflow_core::random::Key;
-use srflow_core::{FlowField, Image, Mask, warp};
+use srflow_core::{FlowField, Image, Mask, Size, warp};
 use srflow_data::flow::{Sample, TruthDensity};
 use srflow_train::augment::{AugmentConfig, Augmentation};
 
@@ -77,7 +77,7 @@ proptest! {
         let before = moving(120, 100);
         prop_assert!(warp_residual(&before) < 1.0);
         let after = apply(config, before, Key::new(seed));
-        prop_assert_eq!(after.frame1.size(), (64, 48));
+        prop_assert_eq!(after.frame1.size(), Size::new(64, 48));
         let residual = warp_residual(&after);
         prop_assert!(residual < 1.5, "{}", residual);
     }
@@ -160,7 +160,7 @@ proptest! {
             sample.mask.expect("a mask").size(),
             sample.occlusion.expect("a mask").size(),
         ];
-        prop_assert_eq!(sizes, [(32, 40); 5]);
+        prop_assert_eq!(sizes, [Size::new(32, 40); 5]);
     }
 
     /// Pixels encode their position: the crop is a window of the frame, and all parts are cropped alike.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_core::excerpt;
+use srflow_core::{Size, excerpt};
 use srflow_files::{FileError, FileKind, FileProblem, PointSet, PointTable, read_text};
 
 use super::super::problem;
@@ -22,7 +22,7 @@ impl Landmarks {
         &mut self,
         path: &Path,
         camera_index: u32,
-        (width, height): (usize, usize),
+        Size { width, height }: Size,
     ) -> Result<(), FileError> {
         let table = PointTable::read(path, &[], &["frame"])?;
         let in_file = |problem| FileError { path: path.to_owned(), problem };

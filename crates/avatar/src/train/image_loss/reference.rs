@@ -1,5 +1,7 @@
 //! The definition of the loss between pictures, in `f64`, window by window.
 
+use srflow_core::Size;
+
 use super::ImageLossValue;
 
 /// Constants of SSIM, for values in 0..1 (Wang et al. 2004).
@@ -22,16 +24,17 @@ pub fn window() -> [f64; WINDOW_LEN] {
 }
 
 /// The loss of a rendered picture, as [`ImageLoss`](super::ImageLoss) describes it, and its gradient. Both pictures have
-/// `width * height` pixels, or it panics.
+/// this size, or it panics.
 pub fn loss(
     rendered: &[[f64; 3]],
     target: &[[f64; 3]],
-    (width, height): (usize, usize),
+    size: Size,
     ssim_weight: f64,
 ) -> (ImageLossValue, Vec<[f64; 3]>) {
-    let numbers = 3.0 * (width * height) as f64;
+    let Size { width, height } = size;
+    let numbers = 3.0 * size.pixels() as f64;
     let mut value = ImageLossValue::default();
-    let mut gradient = vec![[0.0; 3]; width * height];
+    let mut gradient = vec![[0.0; 3]; size.pixels()];
     let window = window();
     // The pixels under the window at (x, y), with their weights.
     let under = |x: usize, y: usize| {

@@ -11,7 +11,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use srflow_avatar::HeadSource;
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, HeadRecord, write_transforms};
 use srflow_avatar::train::{RunRecord, RunRequest, TrainConfig};
-use srflow_core::{FlowField, Image, Labels};
+use srflow_core::{FlowField, Image, Labels, Size};
 use srflow_files::{FlowFormat, RunMode, write_flow, write_flow_as, write_image_png, write_labels_png};
 use srflow_head::{HeadModel, HeadParameters, PoseParameters};
 use srflow_splat::{Camera, Gaussians, write_bound_ply, write_gaussians, write_ply};
@@ -374,7 +374,7 @@ fn training(folder: &Path) -> Vec<Sample> {
         split: CaptureSplit::Train,
         timestep: 0,
         camera_index: 0,
-        camera: front_camera((12, 16)),
+        camera: front_camera(Size::new(12, 16)),
         image: "a.png".into(),
         mask: None,
         parameters: Some("00000.npz".into()),
@@ -415,18 +415,18 @@ fn training(folder: &Path) -> Vec<Sample> {
 }
 
 /// A camera that sees the built-in head at the origin.
-fn front_camera(size: (usize, usize)) -> Camera {
+fn front_camera(size: Size) -> Camera {
     Camera {
         camera_from_world: DMat4::from_cols_array(&[
             1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0, 1.0,
         ]),
-        ..Camera::centred(size, [2.5 * size.1 as f64; 2])
+        ..Camera::centred(size, [2.5 * size.height as f64; 2])
     }
 }
 
 /// The list of one picture of the built-in head, and its landmarks in both forms of tables.
 fn tracked(folder: &Path) -> (String, String) {
-    let camera = front_camera((110, 160));
+    let camera = front_camera(Size::new(110, 160));
     let view = CaptureView {
         split: CaptureSplit::Train,
         timestep: 0,

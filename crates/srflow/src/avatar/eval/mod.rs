@@ -281,7 +281,7 @@ impl EvalJob {
                     };
                     let Some(view) = views.iter().find(is_shown) else { continue };
                     scorer.score(avatar, pose(view), capture, view)?;
-                    let size = (view.camera.width, view.camera.height);
+                    let size = view.camera.size();
                     panels.pictures.push(PicturePanels::new(split.split, word, shown, size, &scorer));
                 }
             }

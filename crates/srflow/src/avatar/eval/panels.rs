@@ -4,7 +4,7 @@ use std::path::Path;
 
 use srflow_avatar::capture::CaptureSplit;
 use srflow_avatar::train::{Scorer, ViewScore};
-use srflow_core::{FlowField, Image, Mask, Plane, flow_colors};
+use srflow_core::{FlowField, Image, Mask, Plane, Size, flow_colors};
 use srflow_files::{FileError, FileProblem, write_image_png};
 use srflow_render::label_error::{FlowComparison, FlowPair};
 use srflow_report::html::{
@@ -51,7 +51,7 @@ impl PicturePanels {
         split: CaptureSplit,
         word: &'static str,
         score: &ViewScore,
-        (width, height): (usize, usize),
+        size: Size,
         scorer: &Scorer,
     ) -> Self {
         let difference = |a: [f32; 3], b: [f32; 3]| -> f32 {
@@ -59,9 +59,9 @@ impl PicturePanels {
             channels.sum::<f32>() * (255.0 / 3.0)
         };
         let (picture, rendered) = (scorer.picture(), scorer.rendered());
-        let at = |x: usize, y: usize| y * width + x;
+        let at = |x: usize, y: usize| y * size.width + x;
         let difference =
-            Plane::from_fn(width, height, |x, y| difference(picture[at(x, y)], rendered[at(x, y)]));
+            Plane::from_fn(size.width, size.height, |x, y| difference(picture[at(x, y)], rendered[at(x, y)]));
         let [truth, rendering] = scorer.images();
         Self { split, word, score: score.clone(), truth, rendering, difference }
     }

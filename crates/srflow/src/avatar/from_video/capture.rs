@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use srflow_avatar::capture::{CaptureView, LANDMARKS_NAME, split_of};
-use srflow_core::SettingError;
+use srflow_core::{SettingError, Size};
 use srflow_face::FaceFinder;
 use srflow_files::create_folder;
 use srflow_splat::Camera;
@@ -120,7 +120,7 @@ impl VideoArgs {
     }
 
     /// In pixels, for frames of this size; `recorded` in the format of 35 mm film, millimetres.
-    fn focal_length(&self, (width, height): (usize, usize), recorded: Option<f64>) -> (f64, FocalSource) {
+    fn focal_length(&self, Size { width, height }: Size, recorded: Option<f64>) -> (f64, FocalSource) {
         let side = width.max(height) as f64;
         match (self.focal, recorded) {
             (Some(given), _) => (given, FocalSource::Given),

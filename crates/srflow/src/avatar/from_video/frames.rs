@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use srflow_avatar::capture::Landmarks;
-use srflow_core::{Image, luminance};
+use srflow_core::{Image, Size, luminance};
 use srflow_face::{FaceBox, FaceFinder};
 use srflow_files::{create_folder, write_atomically, write_image_png};
 
@@ -32,8 +32,7 @@ const FEWEST: usize = 8;
 
 /// The chosen frames.
 pub struct Frames {
-    /// Width and height, pixels.
-    pub size: (usize, usize),
+    pub size: Size,
     /// Number of each frame in the video, from 0. Its timestep is its place here.
     pub numbers: Vec<u64>,
     pub landmarks: Landmarks,
@@ -80,7 +79,7 @@ pub fn choose(
     let mut reader = VideoReader::open(video)?;
     let mut track = FoundTrack::new(finder, settings.face_index.map(usize::from));
     let mut frames = Frames {
-        size: (0, 0),
+        size: Size::default(),
         numbers: Vec::new(),
         landmarks: Landmarks::default(),
         of,
@@ -96,14 +95,16 @@ pub fn choose(
         if number > 0 && window_of(number) != window_of(number - 1) {
             frames.keep(best.take(), dir)?;
         }
-        if frames.size == (0, 0) {
+        if frames.size == Size::default() {
             frames.size = image.size();
         } else if frames.size != image.size() {
             bail!(
-                "{}: expected frames of one size, found {:?} and {:?} pixels",
+                "{}: expected frames of one size, found ({}, {}) and ({}, {}) pixels",
                 video.display(),
-                frames.size,
-                image.size()
+                frames.size.width,
+                frames.size.height,
+                image.width(),
+                image.height()
             );
         }
         if number % look_at_every == 0 {
@@ -196,7 +197,7 @@ fn count(video: &Path) -> anyhow::Result<u64> {
 /// Mean square of the Laplacian in a box of a picture, levels of 255: less where the lens or the motion blurs.
 fn sharpness(image: &Image, face: FaceBox) -> f64 {
     let grey = luminance(&image.crop(face.left, face.top, face.width, face.height));
-    let (width, height) = grey.size();
+    let Size { width, height } = grey.size();
     let mut sum = 0.0;
     for y in 1..height.saturating_sub(1) {
         let [above, row, below] = [y - 1, y, y + 1].map(|y| grey.row(y));

@@ -1,7 +1,7 @@
 //! Frames in which something is before the face, such as a hand: the colours at some points of its mesh are not those that the points
 //! have in other frames.
 
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 use srflow_face::Face;
 
 use super::hull::Hull;
@@ -70,7 +70,7 @@ pub fn hidden(frames: &[FaceColours]) -> Vec<bool> {
 
 /// Mean around a place of the logarithms of levels.
 fn colour(image: &Image, point: [f64; 2], reach: i64) -> [f64; 3] {
-    let (width, height) = image.size();
+    let Size { width, height } = image.size();
     let range = |at: f64, side: usize| {
         let at = at.round() as i64;
         (at - reach..=at + reach).map(move |at| at.clamp(0, side as i64 - 1) as usize)

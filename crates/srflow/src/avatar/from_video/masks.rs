@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::capture::CaptureView;
-use srflow_core::{Image, Plane};
+use srflow_core::{Image, Plane, Size};
 use srflow_face::PersonMask;
 use srflow_files::{create_folder, read_image};
 use srflow_render::generate::write_alpha;
@@ -65,7 +65,7 @@ pub fn head_mask(image: &Image, shading: &Plane, person: Option<&PersonMask>) ->
 
 /// 1 on the surface and around it, up to so many of its widths, but not below its lowest row; else 0.
 fn surroundings(shading: &Plane, widths: f64) -> Plane {
-    let (width, height) = shading.size();
+    let Size { width, height } = shading.size();
     let covered = |x: usize, y: usize| shading.get(x, y) > 0.0;
     let columns: Vec<usize> = (0..width).filter(|x| (0..height).any(|y| covered(*x, y))).collect();
     let rows: Vec<usize> = (0..height).filter(|y| (0..width).any(|x| covered(x, *y))).collect();

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use srflow_core::resize::resize_image_antialiased;
-use srflow_core::{FlowField, Image, flow_colors, longest_flow};
+use srflow_core::{FlowField, Image, Size, flow_colors, longest_flow};
 use srflow_files::write_file;
 use srflow_mer::{Channel, FEATURE_SIDE, Features, ModelCard};
 use srflow_report::html::{Page, Picture, PictureError, Section, Strip, facts, strips, tiles, wheel_legend};
@@ -69,8 +69,9 @@ pub fn write(path: &Path, card: &ModelCard, classified: &[Seen]) -> anyhow::Resu
 }
 
 fn strip(expression: &Classified, pictures: &Pictures, scale: f32) -> Result<Strip, PictureError> {
-    let picture =
-        |image: &Image, alt: &str| Picture::jpeg(&resize_image_antialiased(image, (SIDE, SIDE)), alt);
+    let picture = |image: &Image, alt: &str| {
+        Picture::jpeg(&resize_image_antialiased(image, Size::new(SIDE, SIDE)), alt)
+    };
     let flow = flow_colors(&flow_of(&pictures.features), Some(scale));
     let percent = |probability: &f64| (100.0 * probability).round();
     let class = expression.class.clone().unwrap_or_else(|| "unknown".to_owned());

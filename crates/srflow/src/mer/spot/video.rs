@@ -84,7 +84,7 @@ impl Video {
         self.warn(&signals, &view, matches!(landmarks, Landmarks::None));
         let stride = self.stride();
         let fps = self.fps / stride as f64;
-        let events = spot_events(&signals, fps, view.size().0, settings.limits()?);
+        let events = spot_events(&signals, fps, view.size().width, settings.limits()?);
         let first = self.source.first_number();
         let frame = |place: usize| first + (place * stride) as i64;
         let seconds = |place: usize| place as f64 / fps;
@@ -202,7 +202,7 @@ impl Video {
             );
         }
         let moved = signals.head.iter().map(|[x, y]| (x * x + y * y).sqrt()).fold(0.0, f64::max);
-        let share = moved / view.size().0 as f64;
+        let share = moved / view.size().width as f64;
         if still && share > FARTHEST {
             log::warn!(
                 "{}: the face moves by {:.0} px, {:.0} % of its crop, which stays where it is: follow the face (`face` detect, or \

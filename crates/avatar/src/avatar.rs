@@ -147,13 +147,21 @@ impl Avatar {
         &self.shaped
     }
 
-    /// Translation that brings the eyes to where the average built-in head has them, metres: the origins of head models differ.
-    /// Zero for the built-in head and ICT-FaceKit.
+    /// Translation that brings the eyes to where the average built-in head has them, or the middle of a mesh without eyes to the origin,
+    /// metres: the origins of head models differ. Zero for the built-in head and ICT-FaceKit.
     pub fn home(&self) -> Vec3 {
         const EYES: Vec3 = Vec3::new(0.0, 0.028, 0.0695);
-        let is_at_home = ["builtin", "builtin-average", "ict"].contains(&self.model.name.as_str());
-        let eyes = self.model.eye_centres(&self.shaped).filter(|_| !is_at_home);
-        eyes.map_or(Vec3::ZERO, |[left, right]| EYES - (left + right) * 0.5)
+        if ["builtin", "builtin-average", "ict"].contains(&self.model.name.as_str()) {
+            return Vec3::ZERO;
+        }
+        match self.model.eye_centres(&self.shaped) {
+            Some([left, right]) => EYES - (left + right) * 0.5,
+            None => {
+                let vertices = || self.shaped.vertices.iter().copied();
+                let (low, high) = (vertices().reduce(Vec3::min), vertices().reduce(Vec3::max));
+                low.zip(high).map_or(Vec3::ZERO, |(low, high)| (low + high) * -0.5)
+            }
+        }
     }
 
     /// The Gaussians in the local frames of the triangles.

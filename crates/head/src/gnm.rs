@@ -62,6 +62,7 @@ pub(crate) fn load(path: &Path, look: Look) -> Result<HeadModel, HeadError> {
         landmarks,
         eyeballs,
         texture: None,
+        colors: None,
         vertex_groups,
         carried: Vec::new(),
     };

@@ -16,7 +16,7 @@ pub use skeleton::{Joint, JointRole, Skinning};
 pub use texture::TextureMap;
 pub use validation::HeadModelError;
 
-use crate::Splat;
+use crate::{MeshColors, Splat};
 use skeleton::joint_transforms;
 
 /// The region of a triangle, which determines how it is dressed with Gaussians.
@@ -108,6 +108,8 @@ pub struct HeadModel {
     pub eyeballs: [Vec<u32>; 2],
     /// Texture coordinates, if the model has some.
     pub texture: Option<TextureMap>,
+    /// The model's own colours, if it has some.
+    pub colors: Option<MeshColors>,
     /// The model's own groups of vertices by name, such as the masks of FLAME; each in ascending order.
     pub vertex_groups: BTreeMap<String, Vec<u32>>,
     /// Gaussians that come with the model, at rest, instead of those that a seed dresses it with; empty for none. The model's last
@@ -279,6 +281,13 @@ impl HeadModel {
             let [a, b, c] = self.triangles[triangle as usize].map(|vertex| vertices[vertex as usize]);
             a * weights.x + b * weights.y + c * weights.z
         })
+    }
+
+    /// The model's own colour at a point of a triangle, sRGB from 0 to 1; `None` for a model without colours.
+    pub fn color_at(&self, triangle: u32, weights: Vec3) -> Option<Vec3> {
+        let vertices = self.triangles[triangle as usize];
+        let colors = self.colors.as_ref()?;
+        Some(colors.mean(triangle, vertices, self.texture.as_ref(), [weights]).truncate())
     }
 
     /// The pose with each of the given action units: (number, side, intensity 0 to 1).

@@ -51,7 +51,7 @@ struct VertexIndices {
 pub(crate) fn load(dir: &Path) -> Result<HeadModel, HeadError> {
     let indices = read_indices(&dir.join("vertex_indices.json"))?;
     let neutral_path = dir.join("generic_neutral_mesh.obj");
-    let neutral = read_obj(&neutral_path)?;
+    let neutral = read_obj(&neutral_path).map_err(of_folder)?;
     if neutral.positions.len() != VERTICES {
         return Err(HeadError::Topology {
             path: neutral_path,
@@ -91,6 +91,7 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, HeadError> {
         landmarks,
         eyeballs: EYEBALLS.map(Iterator::collect),
         texture,
+        colors: None,
         vertex_groups: BTreeMap::new(),
         carried: Vec::new(),
     };
@@ -128,6 +129,14 @@ fn expression_names(mut names: Vec<String>) -> Vec<String> {
     names
 }
 
+/// A file that cannot be read, in a folder that may not be ICT-FaceKit's.
+fn of_folder(error: HeadError) -> HeadError {
+    match error {
+        HeadError::Read(error) => HeadError::IctFolder(error),
+        other => other,
+    }
+}
+
 /// The existing files of these shapes. A name is the stem of a file in the folder, never a path.
 fn present(dir: &Path, names: impl Iterator<Item = String>) -> Vec<(String, PathBuf)> {
     let plain = |name: &str| name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_');
@@ -143,7 +152,7 @@ fn shapes(dir: &Path, files: Vec<(String, PathBuf)>, template: &[Vec3]) -> Resul
     files
         .into_par_iter()
         .map(|(name, path)| {
-            let positions = read_obj_positions(&path)?;
+            let positions = read_obj_positions(&path).map_err(of_folder)?;
             if positions.len() != template.len() {
                 return Err(HeadError::VertexCount {
                     reference: dir.join("generic_neutral_mesh.obj"),

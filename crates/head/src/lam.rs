@@ -75,6 +75,7 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, HeadError> {
     model.name = "lam".into();
     // The Gaussians have the colours.
     model.texture = None;
+    model.colors = None;
     if (count, model.triangles.len()) == LAM_MESH {
         let place = |v: &u32| on_triangle(&([*v; 3], Vec3::X), &model.template, &model.triangles);
         model.landmarks = LANDMARKS.iter().map(place).collect();

@@ -4,9 +4,11 @@
 
 mod arkit;
 mod builtin;
+mod clip;
 mod dress;
 mod error;
 mod flame;
+mod found_head;
 mod gltf;
 mod gnm;
 mod head_model;
@@ -15,6 +17,7 @@ mod lam;
 mod landmark_file;
 mod look;
 mod mesh;
+mod mesh_colors;
 mod micro_expression;
 mod model_source;
 pub mod motion;
@@ -22,12 +25,15 @@ mod obj;
 mod parameters;
 mod pickled_arrays;
 mod regions;
+mod scan;
 mod skeleton_names;
+mod srgb;
 mod triangle_frame;
 mod unit_fit;
 mod unit_name;
 mod unit_table;
 
+pub use clip::Clip;
 pub use dress::{Crease, Dress, Shading, ShadingFacts, ShadingTables, Splat, dress};
 pub use error::HeadError;
 pub use head_model::{
@@ -37,6 +43,7 @@ pub use head_model::{
 };
 pub use look::Look;
 pub use mesh::{MeshFormat, MeshMotion, add_mesh, vertex_normals, write_mesh};
+pub use mesh_colors::MeshColors;
 pub use micro_expression::MicroExpression;
 pub use model_source::ModelSource;
 pub use motion::{Moment, Motion};

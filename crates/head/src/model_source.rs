@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::{HeadError, HeadModel, Look, flame, gltf, gnm, ict, lam};
+use crate::{HeadError, HeadModel, Look, flame, found_head, gltf, gnm, ict, lam, scan};
 
 /// A kind of head model, as in `--head KIND:PATH`.
 struct Kind {
@@ -23,7 +23,7 @@ struct Kind {
 }
 
 /// The kinds of head models. The first is the built-in head.
-static KINDS: [Kind; 8] = [
+static KINDS: [Kind; 9] = [
     Kind {
         name: "builtin",
         path: "",
@@ -76,9 +76,17 @@ static KINDS: [Kind; 8] = [
         name: "gltf",
         path: "FILE",
         about: "any rigged head as .glb or .gltf",
-        companions: &gltf::COMPANIONS,
-        landmarks: gltf::LANDMARKS,
+        companions: &found_head::COMPANIONS,
+        landmarks: found_head::LANDMARKS,
         load: |file, _, look| gltf::load(file, look),
+    },
+    Kind {
+        name: "obj",
+        path: "FILE",
+        about: "any mesh as Wavefront .obj, such as a scan",
+        companions: &found_head::COMPANIONS,
+        landmarks: found_head::LANDMARKS,
+        load: |file, _, look| scan::load(file, look),
     },
     Kind {
         name: "lam",
@@ -229,6 +237,7 @@ mod tests {
             "flame-toothless:a.npz",
             "gnm:a.npz",
             "gltf:a.glb",
+            "obj:a.obj",
             "lam:a.zip",
         ] {
             let source: ModelSource = text.parse().unwrap();

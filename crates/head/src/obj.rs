@@ -6,10 +6,12 @@ use srflow_files::{FileKind, read_file};
 
 use crate::HeadError;
 
-/// The parts of a Wavefront OBJ file that are read: positions, polygons and texture coordinates, indices from 0.
+/// The parts of a Wavefront OBJ file that are read, indices from 0.
 #[derive(Debug, Default)]
 pub(crate) struct Obj {
     pub positions: Vec<Vec3>,
+    /// sRGB colour of each vertex, behind its position as many scanners write it; empty unless every vertex has one.
+    pub colors: Vec<Vec3>,
     /// Vertex indices of each polygon, at least three, all below `positions.len()`.
     pub polygons: Vec<Vec<u32>>,
     /// Texture coordinates.
@@ -17,18 +19,37 @@ pub(crate) struct Obj {
     /// Indices of the texture coordinates at the corners of each polygon, all below `texture.len()`; empty unless every polygon has
     /// them.
     pub texture_polygons: Vec<Vec<u32>>,
+    /// Names of the materials, and the number of that of each polygon; the first is that of polygons without one, whose name is empty.
+    pub materials: Vec<String>,
+    pub material_of_polygons: Vec<u32>,
+    /// Files that describe the materials.
+    pub libraries: Vec<String>,
 }
 
 /// Larger coordinates are not a head in any unit, and would overflow later sums.
 const LARGEST_COORDINATE: f32 = 1e6;
 
-/// Reads positions, polygons and texture coordinates; normals, groups and materials are ignored.
+/// Reads a file, without normals.
 pub(crate) fn read_obj(path: &Path) -> Result<Obj, HeadError> {
-    let bytes = read(path)?;
-    let mut obj = Obj { positions: positions_in(path, &bytes)?, ..Obj::default() };
+    let bytes = read_file(path, FileKind::Mesh)?;
+    let mut obj = Obj {
+        positions: positions_in(path, &bytes)?,
+        colors: colors(&bytes),
+        materials: vec![String::new()],
+        ..Obj::default()
+    };
     obj.texture = points(path, &bytes, b"vt ", "two")?.into_iter().map(Vec2::from_array).collect();
+    let mut material = 0;
     for (number, line) in lines(&bytes) {
-        if let Some(rest) = line.strip_prefix(b"f ") {
+        if let Some(name) = name_after(line, b"usemtl ") {
+            material = obj.materials.iter().position(|known| *known == name).unwrap_or_else(|| {
+                obj.materials.push(name);
+                obj.materials.len() - 1
+            });
+        } else if let Some(name) = name_after(line, b"mtllib ") {
+            obj.libraries.push(name);
+        } else if let Some(rest) = line.strip_prefix(b"f ") {
+            obj.material_of_polygons.push(material as u32);
             let count = obj.positions.len();
             obj.polygons.push(polygon(path, number, "vertex", words(rest).map(|word| part(word, 0)), count)?);
             if words(rest).all(|word| !part(word, 1).is_empty()) {
@@ -43,6 +64,26 @@ pub(crate) fn read_obj(path: &Path) -> Result<Obj, HeadError> {
     Ok(obj)
 }
 
+/// A name that may have spaces.
+fn name_after(line: &[u8], key: &[u8]) -> Option<String> {
+    let name = line.strip_prefix(key)?.trim_ascii();
+    std::str::from_utf8(name).ok().map(str::to_owned)
+}
+
+/// The colours behind the positions; none unless every position has one.
+fn colors(bytes: &[u8]) -> Vec<Vec3> {
+    let color = |line: &[u8]| {
+        let mut numbers = words(line).map(|word| word.parse().ok().filter(|number: &f32| number.is_finite()));
+        let [r, g, b] = [numbers.nth(3)??, numbers.next()??, numbers.next()??];
+        Some(Vec3::new(r, g, b))
+    };
+    let positions = lines(bytes).filter_map(|(_, line)| line.strip_prefix(b"v "));
+    let mut colors: Vec<Vec3> = positions.map(color).collect::<Option<_>>().unwrap_or_default();
+    let most = if colors.iter().any(|color| color.max_element() > 1.0) { 255.0 } else { 1.0 };
+    colors.iter_mut().for_each(|color| *color = (*color / most).clamp(Vec3::ZERO, Vec3::ONE));
+    colors
+}
+
 /// The index number `at` of a corner, as in `12/7/3`; empty for none.
 fn part(corner: &str, at: usize) -> &str {
     corner.split('/').nth(at).unwrap_or("")
@@ -50,11 +91,7 @@ fn part(corner: &str, at: usize) -> &str {
 
 /// Reads only the positions.
 pub(crate) fn read_obj_positions(path: &Path) -> Result<Vec<Vec3>, HeadError> {
-    positions_in(path, &read(path)?)
-}
-
-fn read(path: &Path) -> Result<Vec<u8>, HeadError> {
-    read_file(path, FileKind::Mesh).map_err(HeadError::IctFolder)
+    positions_in(path, &read_file(path, FileKind::Mesh)?)
 }
 
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {

@@ -29,8 +29,9 @@ pub struct HeadArgs {
     /// Head, instead of a file of Gaussians
     #[arg(long, value_name = "HEAD", help = head_help())]
     pub head: Option<HeadSource>,
-    /// Motion of the head: `own` (the avatar's training motion), a flame_param.npz or capture of another
-    /// subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second)
+    /// Motion of the head: `own` (the avatar's training motion), the flame_param.npz, capture or clip
+    /// (FILE.glb@CLIP) of another subject with the same kind of head, or `curves` (10 s of random motion
+    /// at 24 frames per second)
     /// [default: own if it has one, else curves]
     #[arg(long, value_name = "MOTION", requires = "head")]
     pub motion: Option<MotionSource>,

@@ -116,6 +116,7 @@ impl HeadModel {
             action_units,
             eyeballs: [eyeball.collect(), right_eyeball.collect()],
             texture: None,
+            colors: None,
             vertex_groups: BTreeMap::new(),
             carried: Vec::new(),
         }

@@ -3,8 +3,8 @@
 use glam::Vec3;
 use srflow_core::random::{Key, Stream};
 
-use super::light::linear_from_srgb;
 use crate::Look;
+use crate::srgb::linear_from_srgb;
 
 /// Hair style.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

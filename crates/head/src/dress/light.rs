@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::occlusion::Occluder;
 use super::surface::Surface;
+use crate::srgb::srgb_from_linear;
 use crate::{Look, Region};
 
 /// Direction of the weak fill light on the other side.
@@ -58,7 +59,7 @@ impl Studio {
         let sheen = material.sheen
             * (exposure.key * gloss(normal, key, material.gloss)
                 + 0.35 * exposure.fill * gloss(normal, fill, material.gloss));
-        srgb_from_linear(material.albedo * diffuse * 1.12 + Vec3::splat(sheen))
+        tone_mapped(material.albedo * diffuse * 1.12 + Vec3::splat(sheen))
     }
 }
 
@@ -364,17 +365,10 @@ fn gloss(normal: Vec3, light: Vec3, exponent: f32) -> f32 {
 }
 
 /// Linear light to sRGB, with a shoulder that compresses highlights.
-pub(super) fn srgb_from_linear(linear: Vec3) -> Vec3 {
+pub(super) fn tone_mapped(linear: Vec3) -> Vec3 {
     let channel = |x: f32| {
         let x = x.max(0.0);
-        let x = if x > 0.65 { 0.65 + 0.35 * (1.0 - libm::expf(-(x - 0.65) / 0.35)) } else { x };
-        if x <= 0.003_130_8 { x * 12.92 } else { 1.055 * libm::powf(x, 1.0 / 2.4) - 0.055 }
+        if x > 0.65 { 0.65 + 0.35 * (1.0 - libm::expf(-(x - 0.65) / 0.35)) } else { x }
     };
-    Vec3::new(channel(linear.x), channel(linear.y), channel(linear.z))
-}
-
-/// sRGB to linear light.
-pub(super) fn linear_from_srgb(srgb: Vec3) -> Vec3 {
-    let channel = |x: f32| if x <= 0.040_45 { x / 12.92 } else { libm::powf((x + 0.055) / 1.055, 2.4) };
-    Vec3::new(channel(srgb.x), channel(srgb.y), channel(srgb.z))
+    srgb_from_linear(Vec3::new(channel(linear.x), channel(linear.y), channel(linear.z)))
 }

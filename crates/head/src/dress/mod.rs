@@ -12,6 +12,7 @@ mod light;
 mod mouth;
 mod noise;
 mod occlusion;
+mod painted;
 mod shading;
 mod skin;
 mod specks;
@@ -50,15 +51,19 @@ pub struct Dress {
     pub shading: Option<Shading>,
 }
 
-/// The Gaussians that dress the head of `shaped` as the person of `seed`, or those that come with the model. The model must be valid.
+/// The Gaussians that dress the head of `shaped` as the person of `seed`, or those or the colours that come with the model. The model
+/// must be valid.
 ///
 /// # Errors
-/// [`HeadError::Landmarks`] when the model does not have 68 landmarks.
+/// [`HeadError::Landmarks`] when the model has neither colours nor 68 landmarks.
 pub fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64, look: Look) -> Result<Dress, HeadError> {
     if !model.carried.is_empty() {
         let first = model.triangles.len() - model.carried.len();
         let splats = (first as u32..).zip(model.carried.iter().copied()).collect();
         return Ok(Dress { splats, shading: None });
+    }
+    if look != Look::First && model.colors.is_some() {
+        return Ok(Dress { splats: painted::painted(model, shaped, seed), shading: None });
     }
     if model.landmarks.len() < 68 {
         let (name, found) = (model.name.clone(), model.landmarks.len());

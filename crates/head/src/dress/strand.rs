@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use super::Dressing;
 use super::Splat;
-use super::light::{Exposure, HAIR_LIGHTS, srgb_from_linear};
+use super::light::{Exposure, HAIR_LIGHTS, tone_mapped};
 use super::surface::rotation_along;
 
 /// One hair, or a wisp drawn as one.
@@ -68,5 +68,5 @@ fn hair_color(strand: &Strand, tangent: Vec3, s: f32, exposure: &Exposure) -> Ve
         let along = tangent.dot(half);
         shine += libm::powf((1.0 - along * along).max(0.0), 40.0) * seen * facing * color.y;
     }
-    srgb_from_linear(albedo * light * 1.25 + (albedo * 0.6 + 0.04) * (shine * strand.gloss))
+    tone_mapped(albedo * light * 1.25 + (albedo * 0.6 + 0.04) * (shine * strand.gloss))
 }

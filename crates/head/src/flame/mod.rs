@@ -84,6 +84,7 @@ pub(crate) fn load(path: &Path, with_teeth: bool, look: Look) -> Result<HeadMode
         regions: vec![Region::Skin; triangles.len()],
         eyeballs,
         texture,
+        colors: None,
         template,
         triangles,
         identities,

@@ -9,50 +9,16 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use std::rc::Rc;
 
-use glam::{DMat3, DMat4, DVec3, Vec2, Vec3};
+use glam::{Affine2, DMat3, DMat4, DVec3, Vec2, Vec3, Vec4};
 use srflow_files::{FileError, FileKind, FileProblem};
 use srflow_splat::gltf::{Document, Node, Placed, Primitive, TRIANGLES};
 
 use crate::HeadError;
 use crate::arkit::action_units;
-use crate::landmark_file::{on_triangle, read_rows};
-use crate::regions::divide_skin;
+use crate::found_head::{found_head, region_of_name};
+use crate::mesh_colors::{Alpha, Material, MeshColors, Texture, Textures};
 use crate::skeleton_names::roles;
-use crate::unit_fit::fitted_units;
-use crate::unit_table::{UNITS_NAME, read_units};
 use crate::{HeadModel, Joint, JointRole, Look, Offsets, Region, Shape, Skinning, TextureMap};
-
-/// Landmarks beside the model: 68 rows of three vertices and their weights. Vertices count through the meshes in the order of the scene.
-pub(crate) const LANDMARKS: &str = "landmarks_68.txt";
-
-/// Files beside the model that are used if they exist.
-pub(crate) const COMPANIONS: [&str; 2] = [LANDMARKS, UNITS_NAME];
-
-/// Parts of names that tell what a mesh is; the first that occurs counts.
-const PARTS: [(&str, Region); 22] = [
-    ("lash", Region::Clear),
-    ("brow", Region::Clear),
-    ("hair", Region::Clear),
-    ("beard", Region::Clear),
-    ("glass", Region::Clear),
-    ("cornea", Region::Clear),
-    ("tear", Region::Clear),
-    ("occlusion", Region::Clear),
-    ("shirt", Region::Clear),
-    ("outfit", Region::Clear),
-    ("cloth", Region::Clear),
-    ("hat", Region::Clear),
-    ("cap", Region::Clear),
-    ("teeth", Region::Teeth),
-    ("tooth", Region::Teeth),
-    ("tongue", Region::MouthInside),
-    ("gum", Region::MouthInside),
-    ("mouth", Region::MouthInside),
-    ("eyelid", Region::Skin),
-    ("eye", Region::Eyeball),
-    ("iris", Region::Eyeball),
-    ("sclera", Region::Eyeball),
-];
 
 /// Most primitives and morph targets of all instances of the meshes, which a small file can repeat without end.
 const MAX_PARTS: usize = 1 << 20;
@@ -65,21 +31,7 @@ type Posed = Rc<[Option<(u32, DMat4)>]>;
 /// # Errors
 /// Names the file and the part that is missing or malformed.
 pub(crate) fn load(path: &Path, look: Look) -> Result<HeadModel, HeadError> {
-    let mut model = rigged(&Document::open(path, FileKind::Mesh)?, path)?;
-    let landmarks = path.with_file_name(LANDMARKS);
-    if landmarks.exists() {
-        let rows = read_rows(&landmarks, model.template.len())?;
-        model.landmarks =
-            rows.iter().map(|row| on_triangle(row, &model.template, &model.triangles)).collect();
-    }
-    model.validate()?;
-    divide_skin(&mut model, &[]);
-    if let Some(units) = read_units(&path.with_file_name(UNITS_NAME), &model)? {
-        model.action_units = units;
-    } else if model.action_units.is_empty() {
-        model.action_units = fitted_units(&model, &[], look);
-    }
-    Ok(model)
+    found_head(rigged(&Document::open(path, FileKind::Mesh)?, path)?, path, look)
 }
 
 /// The model of a document, which `path` names in errors, without landmarks and not yet validated.
@@ -87,11 +39,12 @@ pub(crate) fn load(path: &Path, look: Look) -> Result<HeadModel, HeadError> {
 /// # Errors
 /// Names the part that is missing or malformed.
 pub(crate) fn rigged(document: &Document, path: &Path) -> Result<HeadModel, FileError> {
-    Builder::new(document).and_then(Builder::model).map_err(|problem| problem.in_file(path))
+    Builder::new(document, path).and_then(Builder::model).map_err(|problem| problem.in_file(path))
 }
 
 struct Builder<'a> {
     document: &'a Document,
+    path: &'a Path,
     /// The nodes of the scene, parents first.
     nodes: Vec<Placed>,
     /// The joint of each node that is one.
@@ -109,16 +62,21 @@ struct Builder<'a> {
     /// Texture coordinates of each vertex.
     texture: Vec<Vec2>,
     has_texture: bool,
+    colors: MeshColors,
+    /// Place in the colours of each material of the document that is used.
+    materials: HashMap<Option<usize>, u32>,
+    textures: Textures,
     skinning: Skinning,
     expressions: Vec<(String, Vec<(u32, Vec3)>)>,
     numbers: HashMap<String, usize>,
 }
 
 impl<'a> Builder<'a> {
-    fn new(document: &'a Document) -> Result<Self, FileProblem> {
+    fn new(document: &'a Document, path: &'a Path) -> Result<Self, FileProblem> {
         let nodes = document.scene()?;
         let mut builder = Self {
             document,
+            path,
             globals: nodes.iter().map(|placed| (placed.node, placed.global)).collect(),
             nodes,
             joint_of: HashMap::new(),
@@ -130,6 +88,9 @@ impl<'a> Builder<'a> {
             regions: Vec::new(),
             texture: Vec::new(),
             has_texture: false,
+            colors: MeshColors::default(),
+            materials: HashMap::new(),
+            textures: Textures::default(),
             skinning: Skinning::default(),
             expressions: Vec::new(),
             numbers: HashMap::new(),
@@ -234,6 +195,7 @@ impl<'a> Builder<'a> {
             landmarks: Vec::new(),
             eyeballs,
             texture,
+            colors: self.colors.is_detailed().then_some(self.colors),
             vertex_groups: BTreeMap::new(),
             carried: Vec::new(),
         })
@@ -259,12 +221,12 @@ impl<'a> Builder<'a> {
             let material = primitive.material.and_then(|material| json.materials.get(material));
             let words =
                 [&mesh.name, &self.node(placed).name, material.map_or(&mesh.name, |named| &named.name)];
-            let words = words.map(|word| word.to_lowercase()).join(" ");
-            let region = PARTS
-                .iter()
-                .find(|(part, _)| words.contains(part))
-                .map_or(Region::Skin, |(_, region)| *region);
-            self.add_primitive(placed, primitive, &names, region)?;
+            self.add_primitive(
+                placed,
+                primitive,
+                &names,
+                region_of_name(&words.map(String::as_str).join(" ")),
+            )?;
         }
         Ok(())
     }
@@ -295,7 +257,11 @@ impl<'a> Builder<'a> {
         for (v, transform) in transforms.iter().enumerate() {
             self.template.push(transform.transform_point3(at(&positions, v)).as_vec3());
         }
-        match attribute("TEXCOORD_0") {
+        let material = self.material(primitive.material);
+        let described = primitive.material.and_then(|material| self.document.json.materials.get(material));
+        let set =
+            described.and_then(|material| material.texture()).map_or(0, |texture| texture.coordinates());
+        match attribute(&format!("TEXCOORD_{set}")) {
             Some(accessor) => {
                 let numbers = self.document.numbers(accessor, 2, Some(count))?;
                 // glTF counts from the top.
@@ -303,6 +269,14 @@ impl<'a> Builder<'a> {
                 self.has_texture = true;
             }
             None => self.texture.resize(first + count, Vec2::ZERO),
+        }
+        if let Some(accessor) = attribute("COLOR_0") {
+            self.colors.of_vertices.resize(first, Vec4::ONE);
+            self.colors
+                .of_vertices
+                .extend(self.document.colors(accessor, count)?.into_iter().map(Vec4::from_array));
+        } else if !self.colors.of_vertices.is_empty() {
+            self.colors.of_vertices.resize(first + count, Vec4::ONE);
         }
         let mirrored = self.nodes[placed].global.determinant() < 0.0 && self.node(placed).skin.is_none();
         let indices: Vec<usize> = match primitive.indices {
@@ -318,6 +292,7 @@ impl<'a> Builder<'a> {
             let [b, c] = if mirrored { [c, b] } else { [b, c] };
             self.triangles.push([a, b, c].map(|v| (first + v) as u32));
             self.regions.push(region);
+            self.colors.of_triangles.push(material);
         }
         for (number, target) in primitive.targets.iter().enumerate() {
             let Some(&accessor) = target.get("POSITION") else { continue };
@@ -336,6 +311,37 @@ impl<'a> Builder<'a> {
             self.expressions[index].1.extend(offsets.filter(|(_, offset)| *offset != Vec3::ZERO));
         }
         Ok(())
+    }
+
+    /// The place of a material of the document in the colours. One whose picture cannot be read keeps its plain colour.
+    fn material(&mut self, number: Option<usize>) -> u32 {
+        if let Some(known) = self.materials.get(&number) {
+            return *known;
+        }
+        let mut material = Material::default();
+        if let Some(found) = number.and_then(|number| self.document.json.materials.get(number)) {
+            material.factor = Vec4::from_array(found.factor());
+            material.alpha = match found.alpha_mode.as_str() {
+                "MASK" => Alpha::Mask(found.alpha_cutoff.unwrap_or(0.5)),
+                "BLEND" => Alpha::Blend,
+                _ => Alpha::Opaque,
+            };
+            if let Some(texture) = found.texture() {
+                // Ours count from the bottom.
+                let flip = Affine2::from_cols_array(&[1.0, 0.0, 0.0, -1.0, 0.0, 1.0]);
+                material.texture_from_coordinates = flip * texture.texture_from_coordinates() * flip;
+                let (document, path) = (self.document, self.path);
+                material.texture =
+                    self.textures.get(format!("{}, texture {}", path.display(), texture.index), || {
+                        Texture::parse(&document.picture(texture.index)?)
+                            .map_err(|problem| problem.in_file(path))
+                    });
+            }
+        }
+        let place = self.colors.materials.len() as u32;
+        self.colors.materials.push(material);
+        self.materials.insert(number, place);
+        place
     }
 
     /// The joints of a skin in the pose of the file.

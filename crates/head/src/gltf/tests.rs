@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 use srflow_core::random::Key;
 
 use super::*;
+use crate::found_head::COMPANIONS;
 use crate::{HeadPose, Side};
 
 /// A buffer with its views and accessors.
@@ -201,6 +202,142 @@ fn landmarks_beside_the_file_are_read() {
     let place = model.landmarks_on(&model.template).last().unwrap();
     let t = &model.template;
     assert!(place.distance(t[3] * 0.25 + t[0] * 0.5 + t[2] * 0.25) < 1e-6 && model.landmarks.len() == 68);
+}
+
+/// Adds an accessor of floats to a document and returns its number.
+fn add_floats(json: &mut Value, bytes: &mut Vec<u8>, numbers: &[f32], kind: &str, count: usize) -> usize {
+    let view = json!({"buffer": 0, "byteOffset": bytes.len(), "byteLength": 4 * numbers.len()});
+    bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+    let mut push = |list: &str, entry: Value| {
+        let list = json[list].as_array_mut().unwrap();
+        list.push(entry);
+        list.len() - 1
+    };
+    let view = push("bufferViews", view);
+    push("accessors", json!({"bufferView": view, "componentType": 5126, "count": count, "type": kind}))
+}
+
+/// The face of [`head`] with a texture of two by two pixels and colours of its vertices.
+fn textured(image: Value) -> (Value, Vec<u8>) {
+    let (mut json, mut bytes) = head();
+    let mut add =
+        |numbers: &[f32], kind: &str, count: usize| add_floats(&mut json, &mut bytes, numbers, kind, count);
+    let places = add(&[0.25, 0.25, 0.75, 0.25, 0.75, 0.75, 0.25, 0.75], "VEC2", 4);
+    let colors = add(&[1.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0], "VEC3", 4);
+    let face = &mut json["meshes"][0]["primitives"][0];
+    face["attributes"]["TEXCOORD_0"] = places.into();
+    face["attributes"]["COLOR_0"] = colors.into();
+    face["material"] = 0.into();
+    json["materials"] =
+        json!([{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}, "alphaMode": "BLEND"}]);
+    json["textures"] = json!([{"source": 0}]);
+    json["images"] = json!([image]);
+    json["buffers"][0]["byteLength"] = bytes.len().into();
+    (json, bytes)
+}
+
+/// Red and green above, blue and white below.
+fn picture() -> Value {
+    json!({"uri": "data:image/x-portable-pixmap;base64,UDYgMiAyIDI1NQr/AAAA/wAAAP////8="})
+}
+
+#[test]
+fn textures_and_colours_of_vertices_are_those_of_the_mesh() {
+    let (mut json, bytes) = textured(picture());
+    let corner = |json: &Value, number: usize| {
+        let model = read("head.glb", &glb(json, &bytes)).unwrap();
+        model.color_at(0, Vec3::AXES[number]).unwrap()
+    };
+    // White times green, in linear light.
+    assert!((corner(&json, 0) - Vec3::new(1.0, 0.0, 0.0)).length() < 1e-6);
+    assert!((corner(&json, 1) - Vec3::new(0.0, 1.0, 0.0)).length() < 1e-6);
+    assert!((corner(&json, 2) - Vec3::ONE).length() < 1e-6);
+    // v counts from the top, as it does for the texture.
+    let texture = "/materials/0/pbrMetallicRoughness/baseColorTexture";
+    *json.pointer_mut(texture).unwrap() =
+        json!({"index": 0, "extensions": {"KHR_texture_transform": {"offset": [0.5, 0.0]}}});
+    assert!((corner(&json, 1) - Vec3::new(1.0, 0.0, 0.0)).length() < 1e-6);
+    *json.pointer_mut(texture).unwrap() = json!({"index": 0, "extensions": {"KHR_texture_transform": {"rotation": std::f32::consts::FRAC_PI_2}}});
+    // (0.75, 0.25) turns to (0.25, -0.75), which is red again.
+    assert!((corner(&json, 1) - Vec3::new(1.0, 0.0, 0.0)).length() < 1e-5, "{}", corner(&json, 1));
+    // The other mesh has no material, and no light but white.
+    let model = read("head.glb", &glb(&json, &bytes)).unwrap();
+    assert_eq!(model.color_at(2, Vec3::X), Some(Vec3::ONE));
+    assert!(read("head.glb", &glb(&head().0, &head().1)).unwrap().colors.is_none());
+}
+
+#[test]
+fn textures_that_cannot_be_read_are_left_out() {
+    for image in [
+        json!({}),
+        json!({"uri": "none.png"}),
+        json!({"bufferView": 99}),
+        json!({"uri": "data:;base64,AAAA"}),
+    ] {
+        let (json, bytes) = textured(image.clone());
+        let model = read("head.glb", &glb(&json, &bytes)).unwrap();
+        assert!(model.colors.as_ref().is_some_and(|colors| !colors.has_texture(0)), "{image}");
+    }
+}
+
+/// [`head`] with two clips: `nod` turns Head by 0.4 about x within a second and shows the smile by half, `still` names a node without a joint.
+fn with_clips() -> (Value, Vec<u8>) {
+    let (mut json, mut bytes) = head();
+    let mut add =
+        |numbers: &[f32], kind: &str, count: usize| add_floats(&mut json, &mut bytes, numbers, kind, count);
+    let times = add(&[0.0, 1.0], "SCALAR", 2);
+    let turn = Quat::from_rotation_x(0.4).to_array();
+    let turns = add([[0.0, 0.0, 0.0, 1.0], turn].as_flattened(), "VEC4", 2);
+    let weights = add(&[0.0, 0.5], "SCALAR", 2);
+    json["animations"] = json!([
+        {"name": "nod",
+         "channels": [
+            {"sampler": 0, "target": {"node": 1, "path": "rotation"}},
+            {"sampler": 0, "target": {"node": 1, "path": "translation"}},
+            {"sampler": 1, "target": {"node": 3, "path": "weights"}}],
+         "samplers": [{"input": times, "output": turns}, {"input": times, "output": weights}]},
+        {"name": "still",
+         "channels": [{"sampler": 0, "target": {"node": 3, "path": "rotation"}}],
+         "samplers": [{"input": times, "output": turns}]},
+    ]);
+    json["buffers"][0]["byteLength"] = bytes.len().into();
+    (json, bytes)
+}
+
+#[test]
+fn clips_turn_joints_as_their_nodes_turn_in_the_scene() {
+    let (json, bytes) = with_clips();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("head.glb");
+    std::fs::write(&path, glb(&json, &bytes)).unwrap();
+    let model = load(&path, Look::default()).unwrap();
+    let poses = |clip: &str| {
+        crate::Clip::parse(Path::new(&format!("{}{clip}", path.display()))).unwrap().poses(&model, 10.0)
+    };
+    let nod = poses("@nod").unwrap();
+    assert_eq!(nod.len(), 11);
+    let pose = nod[5].pose(&model);
+    let head = model.joints.iter().position(|joint| joint.name == "Head").unwrap();
+    // Head's axes are those of Armature, which turns it by 45 degrees.
+    let (_, armature, _) = globals()[0].to_scale_rotation_translation();
+    let expected = armature.as_quat() * Quat::from_rotation_x(0.2) * armature.as_quat().inverse();
+    assert!(pose.joint(head).angle_between(expected) < 1e-5, "{}", pose.joint(head));
+    assert_eq!(pose.expressions[..1], [0.25]);
+    let others = (0..model.joints.len()).filter(|joint| *joint != head);
+    assert!(others.into_iter().all(|joint| pose.joint(joint).angle_between(Quat::IDENTITY) < 1e-5));
+    // The vertices go where the file's own node would take them.
+    let mut vertices = Vec::new();
+    model.vertices(&model.shaped(&[]), &pose, &mut vertices);
+    let eye = globals()[1] * DMat4::from_rotation_x(0.2) * globals()[1].inverse() * globals()[3];
+    assert!(vertices[4].distance(eye.transform_point3(DVec3::ZERO).as_vec3()) < 1e-5, "{}", vertices[4]);
+    let error = |clip: &str| poses(clip).unwrap_err().to_string();
+    assert!(error("@still").contains("rotations of joints of gltf (Head"), "{}", error("@still"));
+    assert!(error("").contains("FILE@CLIP with one of its clips: nod, still"), "{}", error(""));
+    assert!(
+        error("@wave").contains("expected one of its clips: nod, still, found wave"),
+        "{}",
+        error("@wave")
+    );
 }
 
 #[test]

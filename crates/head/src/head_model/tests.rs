@@ -80,6 +80,7 @@ pub(super) fn model(stream: &mut Stream) -> HeadModel {
             points: vec![Vec2::ZERO, Vec2::X, Vec2::Y],
             triangles: vec![[0, 1, 2]; count as usize - 2],
         }),
+        colors: None,
         vertex_groups: [("lips".to_owned(), vec![4, 9])].into(),
         carried: Vec::new(),
         joints,

@@ -28,6 +28,8 @@ const SKIN: [Region; 6] =
 pub(super) struct Carried {
     /// Vertices, in ascending order, and the share of the surface that each stands for; the shares sum to 1.
     pub samples: Vec<(u32, f64)>,
+    /// How near the carried surface is to each sample, from 0 (far) to 1.
+    pub nearness: Vec<f64>,
     pub units: Vec<CarriedUnit>,
 }
 
@@ -48,6 +50,15 @@ impl Carried {
     /// the map puts the neutral point to where it puts the displaced one. A vertex of the model's skin takes the displacement of
     /// the nearest point of the mapped surface, and counts the less the further away that is.
     pub(super) fn onto(model: &HeadModel, look: Look) -> Option<Self> {
+        Self::onto_regions(model, look, &SKIN, MOST_SAMPLES)
+    }
+
+    /// As [`Carried::onto`], on every vertex of the skin and of what lies on it, such as brows.
+    pub(super) fn onto_all(model: &HeadModel, look: Look) -> Option<Self> {
+        Self::onto_regions(model, look, &[&SKIN[..], &[Region::Clear]].concat(), usize::MAX)
+    }
+
+    fn onto_regions(model: &HeadModel, look: Look, regions: &[Region], most: usize) -> Option<Self> {
         let reference = HeadModel::sculpted_average(look);
         let (there, here) = (eye_distance(&reference)?, eye_distance(model)?);
         let neutral = vertices(model, &HeadPose::default());
@@ -64,19 +75,19 @@ impl Carried {
         if !mapped.iter().all(|p| p.is_finite()) {
             return None;
         }
-        let triangles: Vec<[u32; 3]> = skin(&reference).collect();
+        let triangles: Vec<[u32; 3]> = triangles_of(&reference, &SKIN).collect();
         let surface = Surface::new(&mapped, &triangles, (CELL * here) as f32);
-        let candidates = candidates(model, &neutral);
+        let candidates = candidates(model, &neutral, regions, most);
         let gap = GAP * here;
         let found: Vec<_> = candidates
             .par_iter()
             .filter_map(|&(vertex, area, normal)| {
                 let nearest = surface.nearest(neutral[vertex as usize], normal)?;
                 let apart = f64::from(nearest.distance) / gap;
-                Some((vertex, area * libm::exp(-apart * apart), nearest))
+                Some((vertex, area, libm::exp(-apart * apart), nearest))
             })
             .collect();
-        let total: f64 = found.iter().map(|(_, weight, _)| weight).sum();
+        let total: f64 = found.iter().map(|(_, area, nearness, _)| area * nearness).sum();
         if !(total > 0.0 && total.is_finite()) {
             return None;
         }
@@ -88,7 +99,7 @@ impl Carried {
                 let still = moved[v] == rest[v];
                 if still { DVec3::ZERO } else { warp.at(moved[v].as_dvec3()) - mapped[v].as_dvec3() }
             };
-            let surface = found.iter().map(|(_, _, nearest)| {
+            let surface = found.iter().map(|(.., nearest)| {
                 let [a, b, c] = nearest.corners.map(displacement);
                 let weights = nearest.weights.as_dvec3();
                 a * weights.x + b * weights.y + c * weights.z
@@ -104,17 +115,21 @@ impl Carried {
         });
         let units = units.collect();
         Some(Self {
-            samples: found.iter().map(|(vertex, weight, _)| (*vertex, weight / total)).collect(),
+            samples: found
+                .iter()
+                .map(|(vertex, area, nearness, _)| (*vertex, area * nearness / total))
+                .collect(),
+            nearness: found.iter().map(|(_, _, nearness, _)| *nearness).collect(),
             units,
         })
     }
 }
 
-/// Vertices of the skin with their areas and normals, at most [`MOST_SAMPLES`] evenly from the list.
-fn candidates(model: &HeadModel, neutral: &[Vec3]) -> Vec<(u32, f64, Vec3)> {
+/// Vertices of these regions with their areas and normals, at most `most` evenly from the list.
+fn candidates(model: &HeadModel, neutral: &[Vec3], regions: &[Region], most: usize) -> Vec<(u32, f64, Vec3)> {
     let mut area = vec![0.0; neutral.len()];
     let mut normals = vec![Vec3::ZERO; neutral.len()];
-    for triangle in skin(model) {
+    for triangle in triangles_of(model, regions) {
         let [a, b, c] = triangle.map(|v| neutral[v as usize]);
         let normal = (b - a).cross(c - a);
         for v in triangle {
@@ -122,16 +137,16 @@ fn candidates(model: &HeadModel, neutral: &[Vec3]) -> Vec<(u32, f64, Vec3)> {
             normals[v as usize] += normal;
         }
     }
-    let on_skin: Vec<usize> =
+    let inside: Vec<usize> =
         (0..neutral.len()).filter(|v| area[*v] > 0.0 && normals[*v].is_finite()).collect();
-    let step = on_skin.len().div_ceil(MOST_SAMPLES).max(1);
+    let step = inside.len().div_ceil(most).max(1);
     let sample = |v: usize| (v as u32, area[v], normals[v].normalize_or_zero());
-    on_skin.into_iter().step_by(step).map(sample).collect()
+    inside.into_iter().step_by(step).map(sample).collect()
 }
 
-fn skin(model: &HeadModel) -> impl Iterator<Item = [u32; 3]> {
+fn triangles_of(model: &HeadModel, regions: &[Region]) -> impl Iterator<Item = [u32; 3]> {
     let triangles = model.triangles.iter().zip(&model.regions);
-    triangles.filter(|(_, region)| SKIN.contains(region)).map(|(triangle, _)| *triangle)
+    triangles.filter(|(_, region)| regions.contains(region)).map(|(triangle, _)| *triangle)
 }
 
 fn vertices(model: &HeadModel, pose: &HeadPose) -> Vec<Vec3> {

@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use self::carry::{Carried, CarriedUnit, landmarks};
-use crate::{ActionUnit, HeadModel, HeadPose, Look, Side};
+use crate::{ActionUnit, HeadModel, HeadPose, Look, Offsets, Shape, Side};
 use srflow_core::dense::{self, dot};
 
 /// Deviation of what an expression need not explain at one landmark, metres, against weights of deviation 1: components are scaled
@@ -26,6 +26,9 @@ const MOST_EXPRESSIONS: usize = 1024;
 
 /// A unit is left out if more than this share of its motion remains.
 const MOST_LEFT: f64 = 0.8;
+
+/// Displacements that are too small to matter, metres.
+const NEGLIGIBLE: f32 = 1e-6;
 
 /// Most passes over the weights, and the change of a weight that ends them.
 const PASSES: usize = 300;
@@ -102,6 +105,32 @@ pub(crate) fn fitted_units(model: &HeadModel, known: &[u8], look: Look) -> Vec<A
         (is_finite && left <= MOST_LEFT).then_some(unit)
     };
     carried.units.par_iter().filter(|unit| !known.contains(&unit.number)).filter_map(fit).collect()
+}
+
+/// Gives a model without expressions, such as a scan, those of the average built-in head: one for each action unit, carried onto it by
+/// [`Carried::onto_all`]. Does nothing to a model without landmarks.
+pub(crate) fn add_carried_units(model: &mut HeadModel, look: Look) {
+    let Some(carried) = Carried::onto_all(model, look) else { return };
+    for CarriedUnit { number, side, surface, .. } in carried.units {
+        let samples = carried.samples.iter().zip(&carried.nearness).zip(surface);
+        let offsets: Vec<(u32, Vec3)> = samples
+            .map(|(((vertex, _), nearness), moved)| (*vertex, (moved * *nearness).as_vec3()))
+            .filter(|(_, offset)| offset.is_finite() && offset.length() > NEGLIGIBLE)
+            .collect();
+        let unit = ActionUnit {
+            number,
+            side,
+            expressions: vec![(model.expressions.len(), 1.0)],
+            joints: Vec::new(),
+        };
+        let half = match side {
+            Side::Both => "",
+            Side::Left => "_L",
+            Side::Right => "_R",
+        };
+        model.expressions.push(Shape::linear(format!("AU{number:02}{half}"), Offsets::Sparse(offsets)));
+        model.action_units.push(unit);
+    }
 }
 
 impl Carried {

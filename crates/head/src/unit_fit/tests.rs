@@ -241,3 +241,36 @@ fn units_are_found_in_ict_facekit() {
         assert!(cosine > if components { 0.85 } else { 0.93 }, "{cosine}");
     }
 }
+
+#[test]
+fn a_scan_takes_the_units_of_the_built_in_head() {
+    let rigged = HeadModel::builtin(4);
+    let mut scan = HeadModel { expressions: Vec::new(), action_units: Vec::new(), ..rigged.clone() };
+    add_carried_units(&mut scan, Look::default());
+    scan.validate().unwrap();
+    assert_eq!(scan.action_units.len(), rigged.action_units.len());
+    let left = left(&scan);
+    let worst = left.iter().map(|(_, _, left)| left.skin).fold(0.0, f64::max);
+    assert!(worst < 1e-3, "{worst} of the carried motion remains on the scan");
+    // The same as the person's own units, up to how smoothly heads map onto each other.
+    let displacement = |model: &HeadModel, unit: u8| -> Vec<f32> {
+        let moved = |units: &[(u8, Side, f32)]| {
+            let mut vertices = Vec::new();
+            model.vertices(&model.shaped(&[]), &model.pose_of_action_units(units).unwrap(), &mut vertices);
+            vertices
+        };
+        let (rest, moved) = (moved(&[]), moved(&[(unit, Side::Both, 1.0)]));
+        let landmarks = |vertices: &[Vec3]| model.landmarks_on(vertices).collect::<Vec<Vec3>>();
+        let pairs = landmarks(&moved).into_iter().zip(landmarks(&rest));
+        pairs.flat_map(|(moved, rest)| (moved - rest).to_array()).collect()
+    };
+    for unit in [1, 4, 9, 12, 15, 17, 20, 26, 43] {
+        let (own, carried) = (displacement(&rigged, unit), displacement(&scan, unit));
+        let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
+        let cosine = dot(&own, &carried) / (dot(&own, &own) * dot(&carried, &carried)).sqrt();
+        assert!(cosine > 0.9, "{unit}: {cosine}");
+    }
+    let mut faceless = HeadModel { landmarks: Vec::new(), expressions: Vec::new(), ..rigged };
+    add_carried_units(&mut faceless, Look::default());
+    assert!(faceless.expressions.is_empty());
+}

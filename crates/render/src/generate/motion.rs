@@ -6,8 +6,9 @@ use std::str::FromStr;
 
 use srflow_avatar::Avatar;
 use srflow_avatar::capture::Capture;
-use srflow_head::{HeadParameters, PoseParameters};
+use srflow_head::{Clip, HeadParameters, PoseParameters};
 
+use super::scene::FRAMES_PER_SECOND;
 use crate::RenderError;
 use crate::error::require;
 
@@ -22,7 +23,7 @@ pub enum MotionSource {
     Mixed,
     /// The motion that an avatar was trained on, which is in its files.
     Own,
-    /// A file of parameters (`flame_param.npz`) or the folder of a capture, of the same kind of head.
+    /// A file of parameters (`flame_param.npz`), the folder of a capture, or a clip of a glTF file ([`Clip`]), of the same kind of head.
     Recorded(PathBuf),
 }
 
@@ -30,6 +31,11 @@ impl MotionSource {
     /// Whether it is in files, an avatar's own or others.
     pub(crate) fn is_of_files(&self) -> bool {
         matches!(self, Self::Own | Self::Recorded(_))
+    }
+
+    fn clip(&self) -> Option<Clip> {
+        let Self::Recorded(path) = self else { return None };
+        Clip::parse(path)
     }
 
     /// The recorded poses for `avatar`; `None` for random motion.
@@ -40,12 +46,15 @@ impl MotionSource {
         self.poses_of(self.read()?, avatar)
     }
 
-    /// The recorded parameters; `None` for motion that is not in files of its own.
+    /// The recorded parameters; `None` for motion that is not in files of its own, or in one that names its parts as the head does.
     ///
     /// # Errors
     /// When the file cannot be read.
     pub fn read(&self) -> Result<Option<HeadParameters>, RenderError> {
         let Self::Recorded(path) = self else { return Ok(None) };
+        if self.clip().is_some() {
+            return Ok(None);
+        }
         Ok(Some(if path.is_dir() { Capture::read(path)?.parameters()? } else { HeadParameters::read(path)? }))
     }
 
@@ -66,9 +75,10 @@ impl MotionSource {
                 require("motion", "own", expected, !motion.is_empty())?;
                 return Ok(Some(motion));
             }
-            Self::Curves | Self::Mixed | Self::Recorded(_) => match recorded {
-                Some(parameters) => parameters,
-                None => return Ok(None),
+            Self::Curves | Self::Mixed | Self::Recorded(_) => match (recorded, self.clip()) {
+                (Some(parameters), _) => parameters,
+                (None, Some(clip)) => return Ok(Some(clip.poses(avatar.model(), FRAMES_PER_SECOND)?)),
+                (None, None) => return Ok(None),
             },
         };
         // The identity stays the avatar's: only the motion is of another.

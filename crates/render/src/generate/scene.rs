@@ -25,7 +25,7 @@ use srflow_data::manifest::SceneEntry;
 use srflow_data::micro_expression::EmotionClass;
 
 /// Frame rate of the motion. NeRSemble records 73 frames per second, at which expressions hardly move between frames.
-const FRAMES_PER_SECOND: f32 = 24.0;
+pub(super) const FRAMES_PER_SECOND: f32 = 24.0;
 
 /// Shorter scenes move less: they are too short for a whole expression.
 const SECONDS_OF_FULL_MOTION: f32 = 1.0;

@@ -8,7 +8,7 @@ use srflow_avatar::HeadSource;
 use srflow_core::random::Key;
 use srflow_core::{Numbers, Size, excerpt};
 use srflow_files::FlowFormat;
-use srflow_head::Look;
+use srflow_head::{Clip, Look};
 use srflow_splat::Device;
 
 use super::background::{self, Background};
@@ -78,8 +78,8 @@ pub struct Settings {
     #[arg(long, value_name = "COLOUR|DIR", default_value_t = Self::default().background)]
     pub background: Background,
     /// Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (also
-    /// micro-expressions, at many speeds), `own` (the avatar's training motion), or a flame_param.npz or
-    /// capture of another subject with the same kind of head
+    /// micro-expressions, at many speeds), `own` (the avatar's training motion), or the flame_param.npz,
+    /// capture or clip (FILE.glb@CLIP) of another subject with the same kind of head
     #[arg(long, value_name = "MOTION", default_value_t = Self::default().motion)]
     pub motion: MotionSource,
     /// Device to rasterize on
@@ -215,7 +215,9 @@ impl Settings {
         if let Some(motion) = motion.as_ref().and_then(Value::as_str) {
             let Ok(parsed) = motion.parse();
             settings.motion = match (split_fingerprint(motion), parsed) {
-                (("recorded", true), _) => MotionSource::Recorded(PathBuf::new()),
+                ((kind, true), _) if kind.split('@').next() == Some("recorded") => {
+                    MotionSource::Recorded(PathBuf::new())
+                }
                 (_, MotionSource::Recorded(_)) => return Err(wrong("motion", motion)),
                 (_, made) => made,
             };
@@ -304,11 +306,11 @@ impl Settings {
             settings["background"] = format!("images, {}", fingerprint(&background::images(dir)?)).into();
         }
         if let MotionSource::Recorded(path) = &self.motion {
-            settings["motion"] = format!(
-                "recorded, {}",
-                fingerprint(&files_at(path, "motion", "a file or folder that can be read")?)
-            )
-            .into();
+            let clip = Clip::parse(path);
+            let file = clip.as_ref().map_or(path.as_path(), Clip::file);
+            let fingerprint = fingerprint(&files_at(file, "motion", "a file or folder that can be read")?);
+            let name = clip.as_ref().and_then(Clip::name).map(|name| format!("@{name}"));
+            settings["motion"] = format!("recorded{}, {fingerprint}", name.unwrap_or_default()).into();
         }
         settings["device"] = self.device.kind().into();
         let off = [

@@ -1,15 +1,19 @@
 //! JSON and the bytes of its buffers. Every reference and length is checked before use.
 
+use std::borrow::Cow;
 use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::{DMat4, DQuat, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
 use srflow_core::excerpt;
 use srflow_files::{FileError, FileKind, FileProblem, parse_error_in_words, read_file};
+
+use super::animation::Animation;
+use super::material::{Material, Texture};
 
 /// Most numbers that a file may expand to, in any case and per byte: accessors may share bytes, or have none, as those of sparse morph
 /// targets do.
@@ -28,7 +32,10 @@ pub struct Json {
     pub nodes: Vec<Node>,
     pub meshes: Vec<Mesh>,
     pub skins: Vec<Skin>,
-    pub materials: Vec<Named>,
+    pub materials: Vec<Material>,
+    pub animations: Vec<Animation>,
+    textures: Vec<Texture>,
+    images: Vec<Buffer>,
     accessors: Vec<Accessor>,
     buffer_views: Vec<BufferView>,
     buffers: Vec<Buffer>,
@@ -39,13 +46,6 @@ pub struct Json {
 #[serde(default)]
 pub struct Scene {
     pub nodes: Vec<usize>,
-}
-
-/// A part of which only the name matters.
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-pub struct Named {
-    pub name: String,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -144,15 +144,20 @@ struct BufferView {
     byte_stride: Option<usize>,
 }
 
+/// The bytes of a buffer or a picture.
 #[derive(Debug, Default, Deserialize)]
-#[serde(default)]
+#[serde(rename_all = "camelCase", default)]
 struct Buffer {
     uri: Option<String>,
+    /// Of a picture without a uri.
+    buffer_view: Option<usize>,
 }
 
 /// A document with the bytes of its buffers.
 #[derive(Debug)]
 pub struct Document {
+    path: PathBuf,
+    kind: FileKind,
     pub json: Json,
     buffers: Vec<Vec<u8>>,
     /// Numbers that were read, and how many may be.
@@ -217,7 +222,34 @@ impl Document {
         }
         let bytes: usize = buffers.iter().map(Vec::len).sum();
         let most_values = MIN_VALUES.max(bytes.saturating_mul(MAX_VALUES_PER_BYTE));
-        Ok(Self { json, buffers, values: Cell::new(0), most_values })
+        Ok(Self { path: path.to_owned(), kind, json, buffers, values: Cell::new(0), most_values })
+    }
+
+    /// The file of a texture's picture, such as a PNG.
+    ///
+    /// # Errors
+    /// When there is no such texture, its picture is of a format that needs another extension, or it cannot be read.
+    pub fn picture(&self, texture: usize) -> Result<Cow<'_, [u8]>, FileError> {
+        let in_file = |problem: FileProblem| problem.in_file(&self.path);
+        let number = self.json.textures.get(texture).and_then(Texture::image);
+        let image = number.and_then(|number| self.json.images.get(number)).ok_or_else(|| {
+            in_file(problem("texture", "a PNG, JPEG or WebP picture", "another one, or none"))
+        })?;
+        match (&image.uri, image.buffer_view) {
+            (Some(uri), _) => Ok(Cow::Owned(read_uri(&self.path, uri, self.kind)?)),
+            (None, Some(view)) => Ok(Cow::Borrowed(self.view(view).map_err(in_file)?.0)),
+            (None, None) => Err(in_file(problem("image", "a uri or a buffer view", "neither"))),
+        }
+    }
+
+    /// The bytes of a view of a buffer, and their stride.
+    fn view(&self, number: usize) -> Result<(&[u8], Option<usize>), FileProblem> {
+        let wrong =
+            || problem("bufferView", "bytes inside its buffer", format!("number {number} beyond them"));
+        let view = self.json.buffer_views.get(number).ok_or_else(wrong)?;
+        let buffer = self.buffers.get(view.buffer).ok_or_else(wrong)?;
+        let end = view.byte_offset.checked_add(view.byte_length).ok_or_else(wrong)?;
+        Ok((buffer.get(view.byte_offset..end).ok_or_else(wrong)?, view.byte_stride))
     }
 
     /// The finite numbers of an accessor of `components` per element; `count` elements if given. Integers are not converted unless they
@@ -284,6 +316,20 @@ impl Document {
         }
     }
 
+    /// The colours of an accessor of `count` vertices, linear RGB with alpha.
+    ///
+    /// # Errors
+    /// As [`Document::numbers`].
+    pub fn colors(&self, accessor: usize, count: usize) -> Result<Vec<[f32; 4]>, FileProblem> {
+        let kind = self.json.accessors.get(accessor).map_or("", |accessor| accessor.kind.as_str());
+        if kind == "VEC4" {
+            let numbers = self.numbers(accessor, 4, Some(count))?;
+            return Ok(numbers.as_chunks().0.to_vec());
+        }
+        let numbers = self.numbers(accessor, 3, Some(count))?;
+        Ok(numbers.as_chunks().0.iter().map(|&[r, g, b]| [r, g, b, 1.0]).collect())
+    }
+
     /// The nodes of the scene that is shown, parents first.
     ///
     /// # Errors
@@ -337,13 +383,10 @@ impl Document {
         kind: Kind,
     ) -> Result<Vec<f32>, FileProblem> {
         let wrong = || problem("bufferView", "bytes inside its buffer", format!("number {view} beyond them"));
-        let view = self.json.buffer_views.get(view).ok_or_else(wrong)?;
-        let buffer = self.buffers.get(view.buffer).ok_or_else(wrong)?;
-        let end = view.byte_offset.checked_add(view.byte_length).ok_or_else(wrong)?;
-        let bytes =
-            buffer.get(view.byte_offset..end).and_then(|bytes| bytes.get(offset..)).ok_or_else(wrong)?;
+        let (bytes, stride) = self.view(view)?;
+        let bytes = bytes.get(offset..).ok_or_else(wrong)?;
         let element = components * kind.bytes();
-        let stride = view.byte_stride.unwrap_or(element);
+        let stride = stride.unwrap_or(element);
         let needed =
             count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(element));
         if stride < element || needed.is_none_or(|needed| needed > bytes.len()) {
@@ -363,14 +406,17 @@ fn local(node: &Node) -> DMat4 {
     if let Some(matrix) = node.matrix {
         return DMat4::from_cols_array(&matrix);
     }
-    let rotation = DQuat::from_array(node.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]));
-    let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY };
-    let scale = DVec3::from_array(node.scale.unwrap_or([1.0; 3]));
     DMat4::from_scale_rotation_translation(
-        scale,
-        rotation,
+        DVec3::from_array(node.scale.unwrap_or([1.0; 3])),
+        unit(node.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0])),
         DVec3::from_array(node.translation.unwrap_or_default()),
     )
+}
+
+/// The rotation of a quaternion of any length.
+pub(super) fn unit(quaternion: [f64; 4]) -> DQuat {
+    let rotation = DQuat::from_array(quaternion);
+    if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY }
 }
 
 /// The type of a component (section 3.6.2.2 of the specification).
@@ -442,9 +488,9 @@ fn read_uri(path: &Path, uri: &str, kind: FileKind) -> Result<Vec<u8>, FileError
         let encoded = data.split_once(";base64,").map(|(_, encoded)| encoded);
         return encoded.and_then(from_base64).ok_or_else(|| refused("data in base64"));
     }
-    let is_plain = !uri.is_empty() && !uri.contains(['/', '\\', ':']) && uri != "..";
+    let is_plain = !uri.contains(['\\', ':']) && !uri.split('/').any(|part| ["", ".", ".."].contains(&part));
     if !is_plain {
-        return Err(refused("the name of a file in the same folder"));
+        return Err(refused("the name of a file in the same folder, or below it"));
     }
     read_file(&path.with_file_name(uri.replace("%20", " ")), kind)
 }
@@ -471,7 +517,7 @@ fn from_base64(text: &str) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-fn problem(field: &'static str, expected: &str, found: impl Into<String>) -> FileProblem {
+pub(super) fn problem(field: &'static str, expected: &str, found: impl Into<String>) -> FileProblem {
     FileProblem::field(field, expected, found)
 }
 

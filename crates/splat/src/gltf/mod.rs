@@ -2,11 +2,15 @@
 //!
 //! Only structure is here: what the meshes mean, others know.
 
+mod animation;
 mod builder;
 mod document;
+mod material;
 
+pub use animation::{Animation, Track};
 pub use builder::GltfBuilder;
 pub use document::{Document, Json, Mesh, Node, Placed, Primitive, Scene, Skin};
+pub use material::{Material, TextureInfo};
 
 /// The modes of a primitive (section 5.24.4 of the specification).
 pub const POINTS: u32 = 0;

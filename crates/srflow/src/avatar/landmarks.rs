@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DMat3, DVec2, DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use srflow_avatar::HeadSource;
 use srflow_core::{Image, Size};
@@ -59,6 +59,9 @@ const SIDE: usize = 768;
 /// The head takes so much of the picture.
 const SHARE: f64 = 0.62;
 
+/// Shares of a mesh that are looked at, from above: all of it, and the head of a standing person.
+const UPPER: [f64; 2] = [1.0, 0.15];
+
 /// A landmark is at most so many pixels from where the network sees it, unless there is nothing.
 const NEAR: f64 = 10.0;
 
@@ -90,9 +93,11 @@ impl Job for LandmarksJob {
         let finder = FaceFinder::read(&self.models.path()?)?;
         let (surface, triangles) = model.surface(&model.template);
         // Hair and glasses would hide the face.
-        let face = triangles.iter().zip(&model.regions).filter(|(_, region)| **region != Region::Clear);
-        let triangles: Vec<[u32; 3]> = face.map(|(triangle, _)| *triangle).collect();
-        let Some(seen) = SeenMesh::best(surface, &triangles, &finder)? else {
+        let is_face = |triangle: &u32| model.regions[*triangle as usize] != Region::Clear;
+        let numbers: Vec<u32> = (0..triangles.len() as u32).filter(is_face).collect();
+        let triangles: Vec<[u32; 3]> = numbers.iter().map(|number| triangles[*number as usize]).collect();
+        let color = |point: &SurfacePoint| model.color_at(numbers[point.triangle], point.weights.as_vec3());
+        let Some(seen) = SeenMesh::best(surface, &triangles, &color, &finder)? else {
             bail!(
                 "{}: no face was found in pictures of the mesh from all sides; list the landmarks by hand",
                 self.model
@@ -120,30 +125,50 @@ struct SeenMesh {
 }
 
 impl SeenMesh {
-    /// From the side where the detector is surest of the face.
-    fn best(vertices: &[Vec3], triangles: &[[u32; 3]], finder: &FaceFinder) -> anyhow::Result<Option<Self>> {
+    /// From the side where the mesh shows most of a face.
+    fn best(
+        vertices: &[Vec3],
+        triangles: &[[u32; 3]],
+        color: &impl Fn(&SurfacePoint) -> Option<Vec3>,
+        finder: &FaceFinder,
+    ) -> anyhow::Result<Option<Self>> {
         let normals = vertex_normals(vertices, triangles);
         let centre =
             vertices.iter().map(|vertex| vertex.as_dvec3()).sum::<DVec3>() / vertices.len().max(1) as f64;
         let look = |camera: &Camera, [facing, up]: [DVec3; 2]| -> anyhow::Result<Option<Self>> {
             let points = visible(vertices, triangles, camera);
-            let picture = lit(&points, triangles, &normals, facing, up);
+            let picture = lit(&points, triangles, &normals, color, facing, up);
             let face = finder.faces(&picture)?.into_iter().max_by(|a, b| a.score.total_cmp(&b.score));
             let pixels_per_unit = camera.fx / camera.position().distance(centre);
             Ok(face.map(|face| Self { points, pixels_per_unit, picture, face, facing }))
         };
         let mut best: Option<(Self, Camera, [DVec3; 2])> = None;
-        for axes in FACING {
-            let camera = in_front(vertices, axes);
-            if let Some(seen) = look(&camera, axes)?
-                && best.as_ref().is_none_or(|(best, ..)| seen.face.score > best.face.score)
-            {
-                best = Some((seen, camera, axes));
+        for share in UPPER {
+            for axes in FACING {
+                let camera = in_front(&upper(vertices, axes[1], share), axes);
+                if let Some(seen) = look(&camera, axes)?
+                    && best.as_ref().is_none_or(|(best, ..)| seen.frontality() > best.frontality())
+                {
+                    best = Some((seen, camera, axes));
+                }
+            }
+            if best.is_some() {
+                break;
             }
         }
         let Some((far, camera, axes)) = best else { return Ok(None) };
         // Once more, closer.
         Ok(Some(look(&closer(camera, far.face.bounds(Size::new(SIDE, SIDE))), axes)?.unwrap_or(far)))
+    }
+
+    /// How surely and how much from the front a face is seen: the detector is as sure of profiles, where the eyes are close together.
+    fn frontality(&self) -> f64 {
+        let between = |a: usize, b: usize| {
+            let place =
+                |number: usize| self.landmarks().get(number).map_or(DVec2::ZERO, |p| DVec2::from_array(*p));
+            place(a).distance(place(b))
+        };
+        f64::from(self.face.score) * between(36, 45) / between(27, 8).max(f64::MIN_POSITIVE)
     }
 
     /// The 68 landmarks, pixels.
@@ -186,6 +211,14 @@ impl SeenMesh {
     }
 }
 
+/// The vertices in the upper share of a mesh's height.
+fn upper(vertices: &[Vec3], up: DVec3, share: f64) -> Vec<Vec3> {
+    let height = |vertex: &Vec3| vertex.as_dvec3().dot(up);
+    let top = vertices.iter().map(height).fold(f64::NEG_INFINITY, f64::max);
+    let bottom = vertices.iter().map(height).fold(f64::INFINITY, f64::min);
+    vertices.iter().filter(|vertex| height(vertex) >= top - share * (top - bottom)).copied().collect()
+}
+
 /// A camera that sees the whole of a mesh from where it faces, from far away.
 fn in_front(vertices: &[Vec3], [facing, up]: [DVec3; 2]) -> Camera {
     let right = up.cross(facing);
@@ -220,24 +253,27 @@ fn closer(camera: Camera, face: FaceBox) -> Camera {
     }
 }
 
-/// Skin, lit from above the camera.
+/// The mesh in its own colours, else those of skin, lit from above the camera.
 fn lit(
     points: &[Option<SurfacePoint>],
     triangles: &[[u32; 3]],
     normals: &[Vec3],
+    color: impl Fn(&SurfacePoint) -> Option<Vec3>,
     facing: DVec3,
     up: DVec3,
 ) -> Image {
-    const SKIN: [f64; 3] = [224.0, 172.0, 148.0];
+    const SKIN: Vec3 = Vec3::new(0.878, 0.675, 0.58);
     const BEHIND: [u8; 3] = [96, 104, 112];
     let light = (facing + 0.6 * up).normalize();
     Image::from_fn(SIDE, SIDE, |x, y| {
-        let Some(SurfacePoint { triangle, weights, .. }) = points[y * SIDE + x] else { return BEHIND };
+        let Some(point) = points[y * SIDE + x] else { return BEHIND };
+        let SurfacePoint { triangle, weights, .. } = point;
         let corners = triangles[triangle].iter().zip(weights.to_array());
         let normal: DVec3 =
             corners.map(|(vertex, weight)| normals[*vertex as usize].as_dvec3() * weight).sum();
         let shade = 0.3 + 0.7 * normal.normalize_or_zero().dot(light).max(0.0);
-        SKIN.map(|level| (level * shade).round() as u8)
+        let color = color(&point).unwrap_or(SKIN).as_dvec3() * (255.0 * shade);
+        color.to_array().map(|level| level.round() as u8)
     })
 }
 

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, LazyLock};
 
 use glam::{Affine2, Vec2, Vec3, Vec4};
+use srflow_core::Size;
 use srflow_files::{FileError, FileProblem, rgba_of_image};
 
 use crate::TextureMap;
@@ -54,8 +55,7 @@ pub(crate) enum Alpha {
 /// A picture on a mesh.
 #[derive(Debug)]
 pub(crate) struct Texture {
-    width: usize,
-    height: usize,
+    size: Size,
     texels: Vec<[u8; 4]>,
 }
 
@@ -65,8 +65,8 @@ impl Texture {
     /// # Errors
     /// As [`rgba_of_image`].
     pub fn parse(bytes: &[u8]) -> Result<Self, FileProblem> {
-        let (width, height, texels) = rgba_of_image(bytes)?;
-        Ok(Self { width, height, texels })
+        let (size, texels) = rgba_of_image(bytes)?;
+        Ok(Self { size, texels })
     }
 
     /// Linear colour and alpha between the four nearest texels. (0, 0) is the lower left corner, (1, 1) the upper right one, and the
@@ -75,14 +75,15 @@ impl Texture {
         static LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| {
             std::array::from_fn(|level| linear_from_srgb(Vec3::splat(level as f32 / 255.0)).x)
         });
+        let Size { width, height } = self.size;
         let texel = |column: i64, row: i64| {
-            let (column, row) = (column.rem_euclid(self.width as i64), row.rem_euclid(self.height as i64));
-            let [r, g, b, a] = self.texels[row as usize * self.width + column as usize];
+            let (column, row) = (column.rem_euclid(width as i64), row.rem_euclid(height as i64));
+            let [r, g, b, a] = self.texels[row as usize * width + column as usize];
             let [r, g, b] = [r, g, b].map(|level| LINEAR[usize::from(level)]);
             Vec4::new(r, g, b, f32::from(a) / 255.0)
         };
         let point = point - point.floor();
-        let (x, y) = (point.x * self.width as f32 - 0.5, (1.0 - point.y) * self.height as f32 - 0.5);
+        let (x, y) = (point.x * width as f32 - 0.5, (1.0 - point.y) * height as f32 - 0.5);
         let (column, row) = (x.floor() as i64, y.floor() as i64);
         let (right, down) = (x - x.floor(), y - y.floor());
         let upper = texel(column, row).lerp(texel(column + 1, row), right);
@@ -189,7 +190,7 @@ mod tests {
     /// Red and green above, blue and half transparent white below.
     fn texture() -> Texture {
         let texels = vec![[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255], [255, 255, 255, 128]];
-        Texture { width: 2, height: 2, texels }
+        Texture { size: Size::new(2, 2), texels }
     }
 
     #[test]

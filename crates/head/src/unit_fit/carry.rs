@@ -21,15 +21,15 @@ const KERNEL: f64 = 0.6;
 const GAP: f64 = 0.06;
 
 /// Regions whose skin corresponds between heads.
-const SKIN: [Region; 6] =
+pub(super) const SKIN: [Region; 6] =
     [Region::Skin, Region::Lips, Region::Brow, Region::LidMargin, Region::Scalp, Region::Neck];
 
 /// Vertices of a model where the deformations of the built-in head are known.
 pub(super) struct Carried {
     /// Vertices, in ascending order, and the share of the surface that each stands for; the shares sum to 1.
     pub samples: Vec<(u32, f64)>,
-    /// How near the carried surface is to each sample, from 0 (far) to 1.
-    pub nearness: Vec<f64>,
+    /// Distance between each sample and the carried surface, relative to the distance between the eyes.
+    pub distances: Vec<f64>,
     pub units: Vec<CarriedUnit>,
 }
 
@@ -53,9 +53,9 @@ impl Carried {
         Self::onto_regions(model, look, &SKIN, MOST_SAMPLES)
     }
 
-    /// As [`Carried::onto`], on every vertex of the skin and of what lies on it, such as brows.
-    pub(super) fn onto_all(model: &HeadModel, look: Look) -> Option<Self> {
-        Self::onto_regions(model, look, &[&SKIN[..], &[Region::Clear]].concat(), usize::MAX)
+    /// As [`Carried::onto`], on every vertex of these regions.
+    pub(super) fn onto_all(model: &HeadModel, look: Look, regions: &[Region]) -> Option<Self> {
+        Self::onto_regions(model, look, regions, usize::MAX)
     }
 
     fn onto_regions(model: &HeadModel, look: Look, regions: &[Region], most: usize) -> Option<Self> {
@@ -84,10 +84,10 @@ impl Carried {
             .filter_map(|&(vertex, area, normal)| {
                 let nearest = surface.nearest(neutral[vertex as usize], normal)?;
                 let apart = f64::from(nearest.distance) / gap;
-                Some((vertex, area, libm::exp(-apart * apart), nearest))
+                Some((vertex, area * libm::exp(-apart * apart), nearest))
             })
             .collect();
-        let total: f64 = found.iter().map(|(_, area, nearness, _)| area * nearness).sum();
+        let total: f64 = found.iter().map(|(_, weight, _)| weight).sum();
         if !(total > 0.0 && total.is_finite()) {
             return None;
         }
@@ -115,11 +115,8 @@ impl Carried {
         });
         let units = units.collect();
         Some(Self {
-            samples: found
-                .iter()
-                .map(|(vertex, area, nearness, _)| (*vertex, area * nearness / total))
-                .collect(),
-            nearness: found.iter().map(|(_, _, nearness, _)| *nearness).collect(),
+            samples: found.iter().map(|(vertex, weight, _)| (*vertex, weight / total)).collect(),
+            distances: found.iter().map(|(.., nearest)| f64::from(nearest.distance) / here).collect(),
             units,
         })
     }

@@ -5,11 +5,13 @@ mod carry;
 mod surface;
 mod warp;
 
+use std::collections::HashSet;
+
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use self::carry::{Carried, CarriedUnit, landmarks};
-use crate::{ActionUnit, HeadModel, HeadPose, Look, Offsets, Shape, Side};
+use self::carry::{Carried, CarriedUnit, SKIN, landmarks};
+use crate::{ActionUnit, HeadModel, HeadPose, Look, Offsets, Region, Shape, Side};
 use srflow_core::dense::{self, dot};
 
 /// Deviation of what an expression need not explain at one landmark, metres, against weights of deviation 1: components are scaled
@@ -26,6 +28,11 @@ const MOST_EXPRESSIONS: usize = 1024;
 
 /// A unit is left out if more than this share of its motion remains.
 const MOST_LEFT: f64 = 0.8;
+
+/// Distance between a vertex and the carried surface at which it moves 1/e as far, in distances between the eyes: of skin, where heads
+/// differ, and of what lies on it, such as brows, but not hair.
+const SKIN_REACH: f64 = 0.24;
+const ABOVE_REACH: f64 = 0.06;
 
 /// Displacements that are too small to matter, metres.
 const NEGLIGIBLE: f32 = 1e-6;
@@ -107,29 +114,32 @@ pub(crate) fn fitted_units(model: &HeadModel, known: &[u8], look: Look) -> Vec<A
     carried.units.par_iter().filter(|unit| !known.contains(&unit.number)).filter_map(fit).collect()
 }
 
-/// Gives a model without expressions, such as a scan, those of the average built-in head: one for each action unit, carried onto it by
-/// [`Carried::onto_all`]. Does nothing to a model without landmarks.
+/// Gives a model without expressions, such as a scan, those of the average built-in head: one for each action unit, carried onto its skin
+/// and what lies on it, such as brows. Does nothing to a model without landmarks.
 pub(crate) fn add_carried_units(model: &mut HeadModel, look: Look) {
-    let Some(carried) = Carried::onto_all(model, look) else { return };
-    for CarriedUnit { number, side, surface, .. } in carried.units {
-        let samples = carried.samples.iter().zip(&carried.nearness).zip(surface);
-        let offsets: Vec<(u32, Vec3)> = samples
-            .map(|(((vertex, _), nearness), moved)| (*vertex, (moved * *nearness).as_vec3()))
-            .filter(|(_, offset)| offset.is_finite() && offset.length() > NEGLIGIBLE)
-            .collect();
-        let unit = ActionUnit {
-            number,
-            side,
-            expressions: vec![(model.expressions.len(), 1.0)],
-            joints: Vec::new(),
+    let Some(skin) = Carried::onto_all(model, look, &SKIN) else { return };
+    let of_skin: HashSet<u32> = skin.samples.iter().map(|(vertex, _)| *vertex).collect();
+    let above = Carried::onto_all(model, look, &[Region::Clear]);
+    for (index, &CarriedUnit { number, side, .. }) in skin.units.iter().enumerate() {
+        let offsets = |part: &Carried, reach: f64| -> Vec<(u32, Vec3)> {
+            let samples = part.samples.iter().zip(&part.distances).zip(&part.units[index].surface);
+            let offsets = samples.map(|(((vertex, _), distance), moved)| {
+                let apart = distance / reach;
+                (*vertex, (*moved * libm::exp(-apart * apart)).as_vec3())
+            });
+            offsets.filter(|(_, offset)| offset.is_finite() && offset.length() > NEGLIGIBLE).collect()
         };
+        let mut moved = offsets(&skin, SKIN_REACH);
+        let above = above.iter().flat_map(|above| offsets(above, ABOVE_REACH));
+        moved.extend(above.filter(|(vertex, _)| !of_skin.contains(vertex)));
+        let expressions = vec![(model.expressions.len(), 1.0)];
         let half = match side {
             Side::Both => "",
             Side::Left => "_L",
             Side::Right => "_R",
         };
-        model.expressions.push(Shape::linear(format!("AU{number:02}{half}"), Offsets::Sparse(offsets)));
-        model.action_units.push(unit);
+        model.expressions.push(Shape::linear(format!("AU{number:02}{half}"), Offsets::Sparse(moved)));
+        model.action_units.push(ActionUnit { number, side, expressions, joints: Vec::new() });
     }
 }
 

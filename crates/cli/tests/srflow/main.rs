@@ -40,6 +40,7 @@ mod rasterize;
 #[cfg(not(any(feature = "cuda", feature = "vulkan")))]
 mod reference;
 mod render_check;
+mod scans;
 mod shapes;
 mod splats;
 mod spotting;

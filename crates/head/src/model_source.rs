@@ -161,7 +161,12 @@ impl ModelSource {
             return Vec::new();
         }
         let beside = self.kind.companions.iter().map(|name| self.path.with_file_name(name));
-        std::iter::once(self.path.clone()).chain(beside.filter(|path| path.exists())).collect()
+        let named = match self.kind.name {
+            "obj" => scan::files_named_in(&self.path),
+            "gltf" => gltf::files_named_in(&self.path),
+            _ => Vec::new(),
+        };
+        std::iter::once(self.path.clone()).chain(beside.filter(|path| path.exists())).chain(named).collect()
     }
 
     /// For the help of an argument: all kinds and what their paths are.

@@ -85,6 +85,27 @@ fn materials(
     Ok(materials)
 }
 
+/// The files of materials and textures that a mesh names, as far as they exist.
+pub(crate) fn files_named_in(path: &Path) -> Vec<PathBuf> {
+    let named = |path: &Path, key: &str| -> Vec<PathBuf> {
+        let bytes = read_file(path, FileKind::Mesh).unwrap_or_default();
+        let text = String::from_utf8_lossy(&bytes);
+        let names = text.lines().filter_map(|line| line.trim().strip_prefix(key));
+        names
+            .filter_map(|name| beside(path, name_of(name.trim())).ok())
+            .filter(|path| path.exists())
+            .collect()
+    };
+    let libraries = named(path, "mtllib ");
+    let textures = libraries.iter().flat_map(|library| named(library, "map_Kd ")).collect();
+    [libraries, textures].concat()
+}
+
+/// The name of a file in a statement: options come before it, and it may have spaces.
+fn name_of(statement: &str) -> &str {
+    if statement.starts_with('-') { statement.rsplit(' ').next().unwrap_or(statement) } else { statement }
+}
+
 /// Reads the colours (`Kd`), opacity (`d`, `Tr`) and pictures (`map_Kd`) of materials (`newmtl`).
 fn read_materials(
     path: &Path,
@@ -122,9 +143,7 @@ fn read_materials(
                 }
             }
             "map_Kd" => {
-                // Options come before the name, which may have spaces.
-                let name = if rest.starts_with('-') { rest.rsplit(' ').next().unwrap_or(rest) } else { rest };
-                material.texture = texture(path, name, textures);
+                material.texture = texture(path, name_of(rest), textures);
                 // Programs leave black or grey behind where a picture has the colours.
                 material.factor = Vec3::ONE.extend(material.factor.w);
             }
@@ -210,6 +229,8 @@ mod tests {
         assert_eq!(model.regions, [Region::Skin, Region::Skin, Region::Eyeball, Region::Eyeball]);
         assert!((color_of(&model, 0) - Vec4::new(1.0, 0.0, 0.0, 1.0)).length() < 1e-5);
         assert!((color_of(&model, 2) - Vec4::new(0.5, 0.25, 1.0, 0.5)).length() < 1e-5);
+        let named = ["head.mtl", "skin.ppm"].map(|name| folder.path().join(name));
+        assert_eq!(files_named_in(&folder.path().join("head.obj")), named);
         // Nothing says where the face is.
         assert!(model.landmarks.is_empty() && model.action_units.is_empty());
     }

@@ -2,7 +2,7 @@
 //! error that names the file.
 //!
 //! Samples of every format are mutated where a format's structure is sensitive (its numbers, its text, its parts, the contents
-//! of a container), from one seed. `SRFLOW_FUZZ_CASES` sets the total number of cases (2000; about 50,000 in a night) and
+//! of a container), from one seed. `SRFLOW_FUZZ_CASES` sets the total number of cases (500; about 50,000 in a night) and
 //! `SRFLOW_FUZZ_SEED` another seed.
 
 mod mutation;
@@ -99,7 +99,7 @@ fn broken_files_of_every_format_are_refused_or_read() {
         fs::write(&path, bytes).unwrap();
         assert_eq!(trouble(&path, arguments), None, "{name}, whole");
     }
-    let cases = from_environment("SRFLOW_FUZZ_CASES").unwrap_or(2000) as usize;
+    let cases = from_environment("SRFLOW_FUZZ_CASES").unwrap_or(500) as usize;
     let seed = from_environment("SRFLOW_FUZZ_SEED").unwrap_or(1);
     let threads = std::thread::available_parallelism().map_or(2, usize::from).min(8);
     let next = AtomicUsize::new(0);

@@ -42,8 +42,10 @@ impl HairShadow {
     }
 
     fn cell_at(&self, p: Vec3) -> Option<usize> {
-        let at = ((p - self.low) / self.cell).floor().as_ivec3();
-        let inside = at.cmpge(IVec3::ZERO).all() && at.cmplt(self.sides).all();
+        let at = (p - self.low) / self.cell;
+        let is_positive = at.cmpge(Vec3::ZERO).all();
+        let at = at.as_ivec3();
+        let inside = is_positive && at.cmplt(self.sides).all();
         inside.then(|| ((at.z * self.sides.y + at.y) * self.sides.x + at.x) as usize)
     }
 

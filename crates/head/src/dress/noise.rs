@@ -2,6 +2,8 @@
 
 use glam::{IVec3, Vec3};
 
+use super::surface::cell_of;
+
 /// Smooth noise of one seed.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Noise {
@@ -15,10 +17,9 @@ impl Noise {
 
     /// Value noise at `p` with unit lattice cells, in `-1..1`.
     pub fn at(&self, p: Vec3) -> f32 {
-        let cell = p.floor();
-        let t = p - cell;
+        let base = cell_of(p);
+        let t = p - base.as_vec3();
         let w = t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
-        let base = cell.as_ivec3();
         let corner = |x, y, z| self.lattice(base.wrapping_add(IVec3::new(x, y, z)));
         let lerp = |a: f32, b: f32, t: f32| a + (b - a) * t;
         let plane = |z| {

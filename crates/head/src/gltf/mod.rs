@@ -6,7 +6,7 @@
 //! are not part of glTF: the file `landmarks_68.txt` beside it may list them, as GNM's `head_sparse_68.txt` does.
 
 use std::collections::{BTreeMap, HashMap};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use glam::{Affine2, DMat3, DMat4, DVec3, Vec2, Vec3, Vec4};
@@ -32,6 +32,11 @@ type Posed = Rc<[Option<(u32, DMat4)>]>;
 /// Names the file and the part that is missing or malformed.
 pub(crate) fn load(path: &Path, look: Look) -> Result<HeadModel, HeadError> {
     found_head(rigged(&Document::open(path, FileKind::Mesh)?, path)?, path, look)
+}
+
+/// The files that a document names, as far as they can be read.
+pub(crate) fn files_named_in(path: &Path) -> Vec<PathBuf> {
+    Document::open(path, FileKind::Mesh).map(|document| document.files().collect()).unwrap_or_default()
 }
 
 /// The model of a document, which `path` names in errors, without landmarks and not yet validated.

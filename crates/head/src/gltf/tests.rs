@@ -1,5 +1,3 @@
-use std::path::PathBuf;
-
 use glam::Quat;
 use serde_json::{Value, json};
 use srflow_core::random::Key;
@@ -185,6 +183,7 @@ fn documents_with_files_or_data_beside_them_are_read() {
     json["buffers"][0]["uri"] = "head%20data.bin".into();
     std::fs::write(&path, json.to_string()).unwrap();
     assert_eq!(load(&path, Look::default()).unwrap().template, whole.template);
+    assert_eq!(files_named_in(&path), [folder.path().join("head data.bin")]);
     for uri in ["../head.bin", "/etc/passwd", "http://a/b", "data:,x", "data:;base64,!", ""] {
         json["buffers"][0]["uri"] = uri.into();
         let error = read("head.gltf", json.to_string().as_bytes()).unwrap_err();

@@ -242,6 +242,12 @@ impl Document {
         }
     }
 
+    /// The files that buffers and pictures name.
+    pub fn files(&self) -> impl Iterator<Item = PathBuf> {
+        let uris = self.json.buffers.iter().chain(&self.json.images).filter_map(|bytes| bytes.uri.as_ref());
+        uris.filter_map(|uri| beside(&self.path, uri)).filter(|path| path.exists())
+    }
+
     /// The bytes of a view of a buffer, and their stride.
     fn view(&self, number: usize) -> Result<(&[u8], Option<usize>), FileProblem> {
         let wrong =
@@ -488,11 +494,15 @@ fn read_uri(path: &Path, uri: &str, kind: FileKind) -> Result<Vec<u8>, FileError
         let encoded = data.split_once(";base64,").map(|(_, encoded)| encoded);
         return encoded.and_then(from_base64).ok_or_else(|| refused("data in base64"));
     }
-    let is_plain = !uri.contains(['\\', ':']) && !uri.split('/').any(|part| ["", ".", ".."].contains(&part));
-    if !is_plain {
-        return Err(refused("the name of a file in the same folder, or below it"));
-    }
-    read_file(&path.with_file_name(uri.replace("%20", " ")), kind)
+    let file =
+        beside(path, uri).ok_or_else(|| refused("the name of a file in the same folder, or below it"))?;
+    read_file(&file, kind)
+}
+
+/// The file of a uri in the folder of a document or below it.
+fn beside(path: &Path, uri: &str) -> Option<PathBuf> {
+    let is_below = !uri.contains(['\\', ':']) && !uri.split('/').any(|part| ["", ".", ".."].contains(&part));
+    is_below.then(|| path.with_file_name(uri.replace("%20", " ")))
 }
 
 fn from_base64(text: &str) -> Option<Vec<u8>> {

@@ -75,7 +75,7 @@ static KINDS: [Kind; 9] = [
     Kind {
         name: "gltf",
         path: "FILE",
-        about: "any rigged head as .glb or .gltf",
+        about: "any head as .glb or .gltf",
         companions: &found_head::COMPANIONS,
         landmarks: found_head::LANDMARKS,
         load: |file, _, look| gltf::load(file, look),

@@ -1,9 +1,9 @@
-//! Any rigged head as glTF 2.0 (`.glb` or `.gltf`) with morph targets and a skin.
+//! Any head as glTF 2.0 (`.glb` or `.gltf`), rigged with morph targets and a skin or not.
 //!
 //! All triangles of the scene become one mesh, in the pose that the file's nodes have. Morph targets of the same name on several meshes are one
 //! expression; ARKit's names give action units. The joints of the skins are the joints of the model, and so is every node with a
-//! mesh that has no skin, such as an eyeball. They rotate about their positions in the file, in the axes of the model. Landmarks
-//! are not part of glTF: the file `landmarks_68.txt` beside it may list them, as GNM's `head_sparse_68.txt` does.
+//! mesh that has no skin, such as an eyeball. They rotate about their positions in the file, in the axes of the model. Textures and
+//! colours of vertices are the model's own. What glTF does not say about a head, such as its landmarks, [`found_head`] adds.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};

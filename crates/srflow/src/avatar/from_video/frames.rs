@@ -99,12 +99,10 @@ pub fn choose(
             frames.size = image.size();
         } else if frames.size != image.size() {
             bail!(
-                "{}: expected frames of one size, found ({}, {}) and ({}, {}) pixels",
+                "{}: expected frames of one size, found {} and {} pixels",
                 video.display(),
-                frames.size.width,
-                frames.size.height,
-                image.width(),
-                image.height()
+                frames.size,
+                image.size()
             );
         }
         if number % look_at_every == 0 {

@@ -46,7 +46,7 @@ def demo(
 
     Args:
         out: Folder for the datasets, the scores and report.html.
-        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         seed: Random seed; each seed renders other heads.
         size: Size of the large frames, WIDTHxHEIGHT; smaller is faster.
         kitti: Folder of KITTI 2015, to also score photographs with true flow.
@@ -100,7 +100,7 @@ def render(
         shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.
         stop_after: Stop after N pairs, clips or timesteps; the same command continues.
         force: Delete the dataset in the folder and start over.
-        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         scenes: Number of scenes, one subject each.
         frames: Frame pairs per scene; a fraction is the mean over scenes of nearly equal length.
@@ -114,7 +114,7 @@ def render(
         depth: Also write depth.
         regions: Also write region maps: skin, eyes, mouth, hair or neck for each pixel.
         background: Background: white, black, #rrggbb, `procedural` (rooms, textures, gradients, lights), or a folder of images.
-        motion: Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (also micro-expressions, at many speeds), `own` (the avatar's training motion), or a flame_param.npz or capture of another subject with the same kind of head.
+        motion: Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (also micro-expressions, at many speeds), `own` (the avatar's training motion), or the flame_param.npz, capture or clip (FILE.glb@CLIP) of another subject with the same kind of head.
         device: Device to rasterize on.
         noise: Sensor noise, 0 to 50; at 1 a standard deviation of 0.9 levels of 255 in black, 1.8 in mid-grey and 2.3 in white.
         lighting: Exposure and white balance, 0 to 4; at 1 off by up to half a stop, with changes of 2 % within a scene.
@@ -391,8 +391,8 @@ def rasterize(
         out: Folder to write into, created if missing; with a moving camera also a video file.
         gaussians: Gaussians of this frame: .ply, .splat, .spz, .glb, .ksplat or .sog.
         next: Gaussians of the next frame: the same ones in the same order.
-        head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
-        motion: Motion of the head: `own` (the avatar's training motion), a flame_param.npz or capture of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
+        head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        motion: Motion of the head: `own` (the avatar's training motion), the flame_param.npz, capture or clip (FILE.glb@CLIP) of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
         timestep: Timestep of the motion in this frame, from 0.
         action_units: Action units in place of a motion, 0 to 1 each, such as 6=0.5,12_L=1.
         seed: Seed of the person and of the random motion, for built-in heads.
@@ -1064,7 +1064,7 @@ def avatar_capture(
 
     Args:
         out: Folder of the capture.
-        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        head: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         cameras: Number of cameras, 1 to 16, always including the front camera, number 8.
         timesteps: Number of timesteps.
@@ -1139,7 +1139,7 @@ def avatar_fit(
 
     Args:
         data: Folder of the capture: transforms.json or transforms_train.json with its cameras, and landmarks.csv.
-        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         out: Folder to write.
         landmarks: Landmarks: a table like landmarks.csv, or a folder of iBUG's .pts files named like the pictures [default: DATA/landmarks.csv].
         landmarks_of: Landmarks of one camera, as OpenFace writes them, or MediaPipe's as columns x_0, y_0, ...; may be repeated.
@@ -1180,7 +1180,7 @@ def avatar_from_video(
         video: Video of one person.
         out: Folder to write.
         config: Preset or TOML file of the training.
-        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         eye_distance: Distance between the pupils in millimetres, about 63 in adults; gives the scale that a single camera cannot see.
         iterations: Number of iterations of the training.
         force: Delete what an earlier run has left in the folder and start over.
@@ -1220,7 +1220,7 @@ def avatar_train(
         config: Preset (gaussian-avatars, cpu) or TOML file to start from [default: gaussian-avatars].
         data: Folder of the capture, as VHAP exports it.
         resume: Continue the run in this folder from its last checkpoint; pass DATA and --model if the capture or head model has moved.
-        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model) [default: the one that head.json of the capture names].
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model) [default: the one that head.json of the capture names].
         subject: Seed of a built-in head [default: that in head.json of the capture, else 1].
         print_config: Print the configuration with every key instead of training, as TOML or JSON.
         checkpoint_every: Minimum time between two checkpoints.
@@ -1290,7 +1290,7 @@ def avatar_mesh(
     """Write the mesh of a head model in some shape and pose.
 
     Args:
-        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         output: File to write: .obj, .ply or .glb.
         params: Parameters, .npz or .json [default: the head at rest].
         action_units: Action units instead of parameters, 0 to 1 each, such as 6=0.5,12_L=1.
@@ -1324,8 +1324,8 @@ def avatar_export(
 
     Args:
         output: File to write: .ply, .splat, .spz or .glb.
-        head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
-        motion: Motion of the head: `own` (the avatar's training motion), a flame_param.npz or capture of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
+        head: Head, instead of a file of Gaussians: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        motion: Motion of the head: `own` (the avatar's training motion), the flame_param.npz, capture or clip (FILE.glb@CLIP) of another subject with the same kind of head, or `curves` (10 s of random motion at 24 frames per second) [default: own if it has one, else curves].
         timestep: Timestep of the motion in this frame, from 0.
         action_units: Action units in place of a motion, 0 to 1 each, such as 6=0.5,12_L=1.
         seed: Seed of the person and of the random motion, for built-in heads.
@@ -1353,7 +1353,7 @@ def avatar_units(
     """Show how well a head model does each action unit, and write its table of units.
 
     Args:
-        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         seed: Seed of a built-in head.
         output: Table to write (.json): expression weights and joint rotations of each unit.
         force: Overwrite the file.
@@ -1376,7 +1376,7 @@ def avatar_landmarks(
     """Find the 68 landmarks of a head model without any.
 
     Args:
-        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         out: File to write: 68 rows in dlib's order, each with three vertices and their weights.
         seed: Seed of a built-in head.
         viz: Draw the landmarks into the picture of the mesh.
@@ -1462,7 +1462,7 @@ def mer_synth(
         speech: Strength of speech, 0 to 2; sentences of 1 to 3 seconds with pauses of 1 to 4.
         nods: Strength of nods and shakes of the head, 0 to 2; 1 is up to 5 degrees, every 4 to 12 seconds.
         breathing: Strength of breathing, 0 to 2; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute.
-        head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         seed: Random seed.
         flow_format: File format of the true flow.
@@ -1519,7 +1519,7 @@ def mer_synth_long(
         speech: Strength of speech, 0 to 2; a short sentence now and then.
         nods: Strength of nods and shakes of the head, 0 to 2; 1 is up to 5 degrees, every 4 to 12 seconds.
         breathing: Strength of breathing, 0 to 2; 1 lifts the head by up to 1.2 mm, 12 to 20 times a minute.
-        head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any rigged head as .glb or .gltf), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
+        head: Head model; may be repeated, and the subjects show them in turn: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model).
         look: Version of how heads look; 1 keeps the bytes of earlier datasets.
         seed: Random seed.
         shard: Process only part I of N; `auto` reads I and N from the variables of Slurm and other job engines, `auto/N` only I, as for Kubernetes and PBS.

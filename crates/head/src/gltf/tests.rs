@@ -395,21 +395,33 @@ fn instances_of_a_mesh_are_read_in_any_depth_until_a_small_file_repeats_too_much
 
 #[test]
 fn mutated_files_are_read_or_refused() {
-    let (json, binary) = head();
-    let whole = glb(&json, &binary);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("head.glb");
     let mut stream = Key::new(6).stream("mutations");
-    let mut refused = 0;
-    for _ in 0..500 {
-        let mut mutated = whole.clone();
-        for _ in 0..1 + stream.below(3) {
-            let at = stream.below(mutated.len() as u32) as usize;
-            mutated[at] = if stream.unit() < 0.6 {
-                b"0123456789"[stream.below(10) as usize]
-            } else {
-                stream.below(256) as u8
+    for (json, binary) in [head(), textured(picture()), with_clips()] {
+        let whole = glb(&json, &binary);
+        let mut refused = 0;
+        for _ in 0..500 {
+            let mut mutated = whole.clone();
+            for _ in 0..1 + stream.below(3) {
+                let at = stream.below(mutated.len() as u32) as usize;
+                mutated[at] = if stream.unit() < 0.6 {
+                    b"0123456789"[stream.below(10) as usize]
+                } else {
+                    stream.below(256) as u8
+                };
+            }
+            std::fs::write(&path, &mutated).unwrap();
+            let Ok(model) = load(&path, Look::default()) else {
+                refused += 1;
+                continue;
             };
+            for clip in ["", "@nod"] {
+                let clip = crate::Clip::parse(Path::new(&format!("{}{clip}", path.display()))).unwrap();
+                clip.poses(&model, 24.0).map_or(0, |poses| poses.len());
+            }
+            model.color_at(0, Vec3::splat(1.0 / 3.0));
         }
-        refused += usize::from(read("head.glb", &mutated).is_err());
+        assert!(refused > 50, "{refused}");
     }
-    assert!(refused > 50, "{refused}");
 }

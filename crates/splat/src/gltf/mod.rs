@@ -6,11 +6,13 @@ mod animation;
 mod builder;
 mod document;
 mod material;
+mod tracks;
 
-pub use animation::{Animation, Track};
+pub use animation::Animation;
 pub use builder::GltfBuilder;
 pub use document::{Document, Json, Mesh, Node, Placed, Primitive, Scene, Skin};
 pub use material::{Material, TextureInfo};
+pub use tracks::Track;
 
 /// The modes of a primitive (section 5.24.4 of the specification).
 pub const POINTS: u32 = 0;

@@ -8,9 +8,11 @@ use srflow_avatar::Avatar;
 use srflow_avatar::capture::Capture;
 use srflow_head::{Clip, HeadParameters, PoseParameters};
 
-use super::scene::FRAMES_PER_SECOND;
 use crate::RenderError;
 use crate::error::require;
+
+/// Frame rate of the motion. NeRSemble records 73 frames per second, at which expressions hardly move between frames.
+pub(super) const FRAMES_PER_SECOND: f32 = 24.0;
 
 /// Where the motion of the subjects comes from.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]

@@ -12,7 +12,7 @@ use srflow_splat::Camera;
 
 use super::background;
 use super::lamps::Lamps;
-use super::motion::MotionSource;
+use super::motion::{FRAMES_PER_SECOND, MotionSource};
 use super::path::Path;
 use super::rig::{Rig, View};
 use super::settings::Settings;
@@ -23,9 +23,6 @@ use crate::record::FrameRecord;
 use crate::recording::Recorder;
 use srflow_data::manifest::SceneEntry;
 use srflow_data::micro_expression::EmotionClass;
-
-/// Frame rate of the motion. NeRSemble records 73 frames per second, at which expressions hardly move between frames.
-pub(super) const FRAMES_PER_SECOND: f32 = 24.0;
 
 /// Shorter scenes move less: they are too short for a whole expression.
 const SECONDS_OF_FULL_MOTION: f32 = 1.0;

@@ -67,7 +67,7 @@ fn measure(name: &str, truths: &[HeadModel], model: &HeadModel, made: Capture) {
         let truth = &truths[seed as usize % truths.len()];
         let (views, states) = capture(truth, Capture { seed: 100 + seed, ..made });
         let start = std::time::Instant::now();
-        let fit = fit(model, &views, &FitOptions::default(), |_, _, _| ()).expect("a fit");
+        let fit = fit(model, &views, None, &FitOptions::default(), |_, _, _| ()).expect("a fit");
         seconds += start.elapsed().as_secs_f64();
         found += fit.report.noise;
         for (sum, error) in sums.iter_mut().zip(errors((truth, &states), (model, &fit.states))) {

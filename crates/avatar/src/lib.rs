@@ -9,6 +9,8 @@ pub mod capture;
 mod files;
 pub mod fit;
 mod head_source;
+mod similarity;
+mod surface;
 pub mod train;
 
 pub use avatar::{Avatar, AvatarError, PosedHead};
@@ -16,3 +18,5 @@ pub use avatars::Avatars;
 pub use binding::{BindingError, BoundGaussians, BoundGradients};
 pub use files::AvatarFiles;
 pub use head_source::HeadSource;
+pub use similarity::Similarity;
+pub use surface::{SurfacePoint, visible_surface};

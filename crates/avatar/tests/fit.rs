@@ -15,7 +15,7 @@ const EASY: Capture =
     Capture { seed: 1, cameras: 4, timesteps: 8, noise: 0.0, outliers: 0.0, missing: 0.0, offsets: 0.0 };
 
 fn fitted(views: &[LandmarkView]) -> Fit {
-    fit(&MODEL, views, &FitOptions::default(), |_, _, _| ()).expect("a fit")
+    fit(&MODEL, views, None, &FitOptions::default(), |_, _, _| ()).expect("a fit")
 }
 
 fn error(states: &[HeadState], fit: &Fit) -> f64 {
@@ -117,7 +117,7 @@ fn a_detector_with_other_landmarks_does_not_change_the_size_of_the_head() {
     };
     let eye_distance = Some(pupils(&states[0]));
     let options = FitOptions { eye_distance, ..FitOptions::default() };
-    let known = fit(&MODEL, &views, &options, |_, _, _| ()).expect("a fit");
+    let known = fit(&MODEL, &views, None, &options, |_, _, _| ()).expect("a fit");
     let (found, truth) = (1000.0 * pupils(&known.states[0]), 1000.0 * pupils(&states[0]));
     assert!((found - truth).abs() < 1.0, "{found} for {truth} mm");
 }
@@ -161,11 +161,11 @@ fn too_few_landmarks_are_an_error() {
         view.landmarks[5..].fill(None);
     }
     assert_eq!(
-        fit(&MODEL, &views, &FitOptions::default(), |_, _, _| ()).map(|_| ()),
+        fit(&MODEL, &views, None, &FitOptions::default(), |_, _, _| ()).map(|_| ()),
         Err(FitError::Landmarks { best: 5 })
     );
     assert_eq!(
-        fit(&MODEL, &[], &FitOptions::default(), |_, _, _| ()).map(|_| ()),
+        fit(&MODEL, &[], None, &FitOptions::default(), |_, _, _| ()).map(|_| ()),
         Err(FitError::Landmarks { best: 0 })
     );
 }
@@ -174,7 +174,7 @@ fn too_few_landmarks_are_an_error() {
 fn shapes_that_are_not_fitted_stay_at_zero() {
     let (views, _) = capture(&MODEL, Capture { timesteps: 2, ..EASY });
     let options = FitOptions { identities: 5, expressions: 9, ..FitOptions::default() };
-    let fit = fit(&MODEL, &views, &options, |_, _, _| ()).expect("a fit");
+    let fit = fit(&MODEL, &views, None, &options, |_, _, _| ()).expect("a fit");
     let parameters = fit.parameters(&MODEL);
     assert_eq!(parameters.shape.len(), MODEL.identities.len());
     assert!(

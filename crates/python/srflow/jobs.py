@@ -1128,6 +1128,7 @@ def avatar_fit(
     cameras: int | Sequence[int] | None = None,
     noise: float | None = None,
     eye_distance: float | None = None,
+    photometric: bool = False,
     identities: int = 100,
     expressions: int = 100,
     seed: int = 1,
@@ -1146,6 +1147,7 @@ def avatar_fit(
         cameras: Use only these cameras.
         noise: Standard deviation of the landmarks, in pixels [default: estimated].
         eye_distance: Distance between the pupils in millimetres, about 63 in adults; gives the scale that a single camera cannot see.
+        photometric: Then align the pictures with each other by the colours of the skin.
         identities: Fit at most this many shapes of the identity basis.
         expressions: Fit at most this many shapes of the expression basis.
         seed: Seed of a built-in head.

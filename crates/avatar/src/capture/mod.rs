@@ -154,6 +154,18 @@ impl Capture {
         Ok(image)
     }
 
+    /// Reads the picture of a camera at a timestep.
+    ///
+    /// # Errors
+    /// When there is none, or as [`Capture::image`].
+    pub fn image_at(&self, timestep: u32, camera: u32) -> Result<Image, FileError> {
+        let view = self.view_at(timestep, camera).ok_or_else(|| {
+            let expected = format!("a picture of camera {camera} at timestep {timestep}");
+            problem("pictures", expected, "none").in_file(&self.dir)
+        })?;
+        self.image(view)
+    }
+
     /// Reads the alpha of a view, 0 to 1; `None` if the capture has no masks.
     ///
     /// # Errors

@@ -5,6 +5,7 @@ use srflow_core::median;
 use srflow_splat::Camera;
 
 use super::LandmarkView;
+use crate::Similarity;
 use crate::capture::{Face, LANDMARK_COUNT};
 use srflow_head::{HeadPoints, HeadState};
 
@@ -129,29 +130,11 @@ fn procrustes(pairs: &[(DVec3, DVec3)]) -> Option<Rigid> {
     let mut weights = vec![1.0; pairs.len()];
     let mut pose = None;
     for _ in 0..ROUNDS {
-        let total: f64 = weights.iter().sum();
-        let weighted = || pairs.iter().zip(&weights);
-        let mean_from = weighted().map(|((from, _), w)| *from * *w).sum::<DVec3>() / total;
-        let mean_to = weighted().map(|((_, to), w)| *to * *w).sum::<DVec3>() / total;
-        let mut s = DMat3::ZERO;
-        for ((from, to), weight) in weighted() {
-            let (from, to) = (*from - mean_from, (*to - mean_to) * *weight);
-            s += DMat3::from_cols(to * from.x, to * from.y, to * from.z);
-        }
-        // Entry (a, b) of Horn's S: the sum of from_a times to_b.
-        let [x, y, z] = [s.x_axis, s.y_axis, s.z_axis];
-        let matrix = DMat4::from_cols(
-            DVec4::new(x.x + y.y + z.z, y.z - z.y, z.x - x.z, x.y - y.x),
-            DVec4::new(y.z - z.y, x.x - y.y - z.z, x.y + y.x, z.x + x.z),
-            DVec4::new(z.x - x.z, x.y + y.x, y.y - x.x - z.z, y.z + z.y),
-            DVec4::new(x.y - y.x, z.x + x.z, y.z + z.y, z.z - x.x - y.y),
-        );
-        let q = largest_eigenvector(matrix);
-        let rotation = DQuat::from_xyzw(q.y, q.z, q.w, q.x).normalize();
-        let translation = mean_to - rotation * mean_from;
-        if !(rotation.is_finite() && translation.is_finite()) {
+        let weighted: Vec<(DVec3, DVec3, f64)> =
+            pairs.iter().zip(&weights).map(|((from, to), weight)| (*from, *to, *weight)).collect();
+        let Some(Similarity { rotation, translation, .. }) = Similarity::rigid(&weighted) else {
             return pose;
-        }
+        };
         let residuals: Vec<f64> =
             pairs.iter().map(|(from, to)| (rotation * *from + translation).distance(*to)).collect();
         weights = robust_weights(&residuals, 1e-4);
@@ -215,58 +198,4 @@ fn weak_perspective(head: &[DVec3], view: &LandmarkView) -> Option<Rigid> {
     let rotation = DQuat::from_mat3(&(world_from_camera * camera_from_head)).normalize();
     let centre = world_from_camera * (centre - camera.camera_from_world.w_axis.truncate());
     Some(Rigid { rotation, translation: centre - rotation * mean })
-}
-
-/// The eigenvector of a symmetric matrix for its largest eigenvalue, by Jacobi's rotations.
-fn largest_eigenvector(matrix: DMat4) -> DVec4 {
-    let mut a = matrix.to_cols_array_2d();
-    let mut vectors = DMat4::IDENTITY.to_cols_array_2d();
-    for _ in 0..32 {
-        for p in 0..4 {
-            for q in p + 1..4 {
-                if a[p][q] == 0.0 {
-                    continue;
-                }
-                let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-                let t = theta.signum() / (theta.abs() + libm::hypot(theta, 1.0));
-                let c = 1.0 / libm::hypot(t, 1.0);
-                let s = t * c;
-                for column in &mut a {
-                    (column[p], column[q]) = (c * column[p] - s * column[q], s * column[p] + c * column[q]);
-                }
-                let (row_p, row_q) = (a[p], a[q]);
-                a[p] = std::array::from_fn(|k| c * row_p[k] - s * row_q[k]);
-                a[q] = std::array::from_fn(|k| s * row_p[k] + c * row_q[k]);
-                for row in &mut vectors {
-                    (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
-                }
-            }
-        }
-    }
-    let largest = (0..4).fold(0, |best, i| if a[i][i] > a[best][best] { i } else { best });
-    DVec4::from_array(vectors.map(|row| row[largest]))
-}
-
-#[cfg(test)]
-mod tests {
-    use srflow_core::random::Key;
-
-    use super::*;
-
-    #[test]
-    fn the_eigenvector_is_stretched_most() {
-        let mut stream = Key::new(6).stream("dense");
-        for _ in 0..50 {
-            let root = DMat4::from_cols_array(&std::array::from_fn(|_| f64::from(stream.normal())));
-            let matrix = root + root.transpose();
-            let vector = largest_eigenvector(matrix);
-            let value = vector.dot(matrix * vector);
-            assert!((matrix * vector - vector * value).length() < 1e-9, "{vector}");
-            for _ in 0..20 {
-                let other =
-                    DVec4::from_array(std::array::from_fn(|_| f64::from(stream.normal()))).normalize();
-                assert!(other.dot(matrix * other) <= value + 1e-9);
-            }
-        }
-    }
 }

@@ -8,15 +8,19 @@
 //! with the identity. The result is the same for any number of threads.
 
 mod arrow;
+mod gaze;
 mod initial;
+mod pictures;
 mod priors;
 mod problem;
 mod report;
 #[cfg(test)]
 mod tests;
 
+use srflow_files::FileError;
 use srflow_splat::Camera;
 
+pub use pictures::{PictureFit, ReadPicture};
 pub use priors::Priors;
 pub use report::{CameraFit, FitReport, Reach, ViewFit};
 
@@ -80,6 +84,8 @@ pub enum FitStage {
     Track,
     /// All timesteps together.
     Refine,
+    /// The pictures with each other.
+    Align,
 }
 
 /// A fitted head.
@@ -108,8 +114,11 @@ impl Fit {
 }
 
 /// Why a head could not be fitted.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 pub enum FitError {
+    /// A picture cannot be read.
+    #[error(transparent)]
+    Picture(#[from] FileError),
     /// The model has no landmarks.
     #[error("the head model {model} has {found} landmarks; fitting it needs the {LANDMARK_COUNT} of dlib")]
     Model { model: String, found: usize },
@@ -127,13 +136,15 @@ pub enum FitError {
 }
 
 /// Fits `model` to the landmarks in `views`, of which each timestep may have any number, also with no landmark at all: such
-/// timesteps follow from their neighbours. `progress` gets the stage, how many steps of it are done, and how many it has.
+/// timesteps follow from their neighbours. If `pictures` can be read, they are then aligned with each other by the colours of the skin.
+/// `progress` gets the stage, how many steps of it are done, and how many it has.
 ///
 /// # Errors
-/// When the model has no landmarks, or no timestep has enough of them to begin with.
+/// When the model has no landmarks, no timestep has enough of them to begin with, or a picture cannot be read.
 pub fn fit(
     model: &HeadModel,
     views: &[LandmarkView],
+    pictures: Option<ReadPicture>,
     options: &FitOptions,
     mut progress: impl FnMut(FitStage, usize, usize),
 ) -> Result<Fit, FitError> {
@@ -173,6 +184,10 @@ pub fn fit(
         noise = problem.anneal(&mut heads, &window);
     }
     progress(FitStage::Refine, REFINEMENTS, REFINEMENTS);
-    let report = problem.report(&heads, first, noise);
+    let mut report = problem.report(&heads, first, noise);
+    if let Some(read) = pictures {
+        let step = |done, steps| progress(FitStage::Align, done, steps);
+        report.pictures = Some(problem.align(&mut heads, &window, noise, read, step)?);
+    }
     Ok(Fit { timesteps: problem.timesteps, states: heads.states, report })
 }

@@ -7,11 +7,13 @@ use rayon::prelude::*;
 
 use super::arrow::{Block, Step, System};
 use super::initial::candidates;
+use super::pictures::Pictures;
 use super::priors::ranges;
 use super::{FitOptions, LandmarkView};
 use crate::capture::LANDMARK_COUNT;
 use srflow_core::median;
-use srflow_head::{HeadModel, HeadPoints, HeadState, JointRole};
+use srflow_head::{HeadModel, HeadPoints, HeadState, JointRole, ShapedHead};
+use srflow_splat::Camera;
 
 /// The noise is not estimated below this, in pixels: no detector is more precise.
 const LEAST_NOISE: f64 = 0.25;
@@ -19,6 +21,9 @@ const LEAST_NOISE: f64 = 0.25;
 /// Errors of detectors change with pose and expression, but hardly from one timestep to the next: all timesteps together tell as much
 /// about what they share as so many independent ones.
 const INDEPENDENT: usize = 8;
+
+/// A step of less gain, as a share of the cost, ends a fit to landmarks.
+const LEAST_GAIN: f64 = 1e-6;
 
 /// Timesteps that are linearised at once: each takes about a megabyte.
 const AT_ONCE: usize = 32;
@@ -95,6 +100,11 @@ impl Window {
         (self.range.len() as f64 / INDEPENDENT as f64).max(1.0).sqrt()
     }
 
+    /// Whether what all timesteps share is solved for.
+    pub fn has_identity(&self) -> bool {
+        self.identity
+    }
+
     fn rigid(self) -> Self {
         Self { rigid: true, ..self }
     }
@@ -131,6 +141,30 @@ impl Heads {
 
     fn state_mut(&mut self, timestep: usize) -> &mut HeadState {
         &mut self.states[timestep - self.first]
+    }
+}
+
+/// Where a point is in a picture, and how that changes with its position in the world.
+pub(super) struct Projection {
+    pub pixel: DVec2,
+    pub across: DVec3,
+    pub down: DVec3,
+}
+
+impl Projection {
+    /// `None` behind the camera.
+    pub fn of(camera: &Camera, position: DVec3) -> Option<Self> {
+        let point = camera.camera_from_world.transform_point3(position);
+        let world_from_camera = DMat3::from_mat4(camera.camera_from_world).transpose();
+        let row = |focal: f64, axis: DVec3, at: f64| {
+            world_from_camera * ((axis - DVec3::Z * (at / point.z)) * (focal / point.z))
+        };
+        let (x, y) = (point.x / point.z, point.y / point.z);
+        (point.z > 0.0).then(|| Self {
+            pixel: DVec2::new(camera.fx * x + camera.cx, camera.fy * y + camera.cy),
+            across: row(camera.fx, DVec3::X, point.x),
+            down: row(camera.fy, DVec3::Y, point.y),
+        })
     }
 }
 
@@ -191,19 +225,26 @@ impl<'a> Problem<'a> {
         self.expressions + 3 * self.joints.len() + 3
     }
 
+    /// Columns of [`HeadPoints::derivatives`] of the identity, then of a timestep's own parameters.
+    pub fn columns(&self) -> Vec<usize> {
+        let (identities, expressions) = (self.model.identities.len(), self.model.expressions.len());
+        let of_joints = identities + expressions;
+        let of_joint = |joint: usize| (0..3).map(move |axis| of_joints + 3 * joint + axis);
+        (0..self.identities)
+            .chain(identities..identities + self.expressions)
+            .chain(self.joints.iter().flat_map(|joint| of_joint(*joint)))
+            .chain(of_joint(self.model.joints.len()))
+            .collect()
+    }
+
     /// How each parameter moves each landmark of a timestep: for each landmark, the shared parameters, then the timestep's own. Also
     /// where the landmarks are.
     pub fn derivatives(&self, heads: &Heads, timestep: usize) -> (Vec<DVec3>, Vec<Vec<DVec3>>) {
         let state = heads.state(timestep);
         let derivatives = self.points.derivatives(state);
         let all = self.points.columns();
-        let (identities, expressions) = (self.model.identities.len(), self.model.expressions.len());
-        let of_joints = identities + expressions;
-        let of_joint = |joint: usize| (0..3).map(move |axis| of_joints + 3 * joint + axis);
-        let columns: Vec<usize> = (identities..identities + self.expressions)
-            .chain(self.joints.iter().flat_map(|joint| of_joint(*joint)))
-            .chain(of_joint(self.model.joints.len()))
-            .collect();
+        let columns = self.columns();
+        let columns = &columns[self.identities..];
         let axes = DMat3::from_quat(state.joint(0));
         let (size, slopes) = self.size(state);
         let (root, mut positions) = (self.shared() + self.expressions, derivatives.positions);
@@ -217,7 +258,7 @@ impl<'a> Problem<'a> {
                 }
                 let along = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis * size);
                 row[self.identities + 3 * landmark..][..3].copy_from_slice(&along);
-                for (row, column) in row[self.shared()..].iter_mut().zip(&columns) {
+                for (row, column) in row[self.shared()..].iter_mut().zip(columns) {
                     *row = values[*column];
                 }
                 // The offset turns with the root.
@@ -244,6 +285,12 @@ impl<'a> Problem<'a> {
     /// Size of the head, metres, and how it grows with each identity weight.
     pub fn size(&self, state: &HeadState) -> (f64, Vec<f64>) {
         self.corners.of(&state.identity)
+    }
+
+    /// The head at rest with the identity of all timesteps.
+    pub fn shaped(&self, heads: &Heads) -> ShapedHead {
+        let identity = heads.states.first().map_or(&[][..], |state| &state.identity);
+        self.model.shaped(&identity.iter().map(|weight| *weight as f32).collect::<Vec<f32>>())
     }
 
     /// The mean head at rest, at all timesteps.
@@ -289,7 +336,7 @@ impl<'a> Problem<'a> {
         let least = self.options.noise.unwrap_or(least);
         noise = noise.max(least);
         for _ in 0..ROUNDS {
-            self.optimise(heads, window, noise);
+            self.optimise(heads, window, noise, None, LEAST_GAIN);
             let now = match self.options.noise {
                 Some(known) if noise <= known => break,
                 _ => self.noise(heads, window).unwrap_or(least).max(least),
@@ -378,7 +425,7 @@ impl<'a> Problem<'a> {
     /// Learns how far the detector's landmarks are from the model's, by the evidence (MacKay 1992, "Bayesian interpolation",
     /// equation 4.9): their sum of squares over how many of them the landmarks determine.
     pub fn weigh_offsets(&mut self, heads: &Heads, window: &Window, noise: f64) {
-        let (system, _) = self.linearise(heads, window, noise);
+        let (system, _) = self.linearise(heads, window, noise, None);
         let Some(step) = system.solve(0.0) else { return };
         let certainty = window.certainty();
         let (shared, before) = (self.shared(), self.offset_deviation / certainty);
@@ -408,16 +455,22 @@ impl<'a> Problem<'a> {
         residuals
     }
 
-    /// Levenberg-Marquardt.
-    fn optimise(&self, heads: &mut Heads, window: &Window, noise: f64) {
+    /// Levenberg-Marquardt, until a step gains less than the share `enough` of the cost. `noise` is that of the landmarks.
+    pub fn optimise(
+        &self,
+        heads: &mut Heads,
+        window: &Window,
+        noise: f64,
+        pictures: Option<&Pictures>,
+        enough: f64,
+    ) {
         const ITERATIONS: usize = 40;
-        const ENOUGH: f64 = 1e-6;
         let mut damping = 1e-3;
-        let (mut system, mut cost) = self.linearise(heads, window, noise);
+        let (mut system, mut cost) = self.linearise(heads, window, noise, pictures);
         for _ in 0..ITERATIONS {
             let moved = system.solve(damping).map(|step| self.moved(heads, window, &step));
             let lower = moved.and_then(|moved| {
-                let (next, lower) = self.linearise(&moved, window, noise);
+                let (next, lower) = self.linearise(&moved, window, noise, pictures);
                 (lower < cost).then_some((moved, next, lower))
             });
             let Some((moved, next, lower)) = lower else {
@@ -431,19 +484,28 @@ impl<'a> Problem<'a> {
             let gain = (cost - lower) / cost;
             (system, cost) = (next, lower);
             damping = (damping / 8.0_f64).max(1e-9);
-            if gain < ENOUGH {
+            if gain < enough {
                 break;
             }
         }
     }
 
     /// The normal equations of a window, and the cost.
-    pub fn linearise(&self, heads: &Heads, window: &Window, noise: f64) -> (System, f64) {
+    pub fn linearise(
+        &self,
+        heads: &Heads,
+        window: &Window,
+        noise: f64,
+        pictures: Option<&Pictures>,
+    ) -> (System, f64) {
         let shared = if window.identity { self.shared() } else { 0 };
         let own: Vec<usize> = if window.rigid { self.rigid_parameters() } else { (0..self.own()).collect() };
         let state = |timestep: usize| heads.state(timestep);
         let terms = |timestep: usize| {
             let mut terms = self.data(heads, timestep, window, noise);
+            if let Some(pictures) = pictures {
+                pictures.add(self, heads, timestep, window, &mut terms);
+            }
             let inside = |other: &usize| window.range.contains(other);
             let before = timestep.checked_sub(1).filter(inside);
             let after = Some(timestep + 1).filter(inside);
@@ -575,26 +637,17 @@ impl<'a> Problem<'a> {
             let precision = (noise * self.factor(landmark)).powi(-2);
             for view in views {
                 let Some([x, y]) = view.landmarks[landmark] else { continue };
-                let camera = &view.camera;
-                let point = camera.camera_from_world.transform_point3(position);
-                let pixel = DVec2::new(
-                    camera.fx * point.x / point.z + camera.cx,
-                    camera.fy * point.y / point.z + camera.cy,
-                );
-                let residual = pixel - DVec2::new(x, y);
-                let square = residual.length_squared() * precision;
-                if !(point.z > 0.0 && square.is_finite()) {
+                let projection = Projection::of(&view.camera, position);
+                let residual = projection.as_ref().map(|at| (at, at.pixel - DVec2::new(x, y)));
+                let residual = residual.map(|(at, apart)| (at, apart, apart.length_squared() * precision));
+                let Some((at, residual, square)) = residual.filter(|(.., square)| square.is_finite()) else {
                     terms.cost += limit;
                     continue;
-                }
+                };
                 let softened = 1.0 + square / limit;
                 terms.cost += square / softened;
                 let weight = precision / (softened * softened);
-                let across = DVec3::new(camera.fx, 0.0, -camera.fx * point.x / point.z) / point.z;
-                let down = DVec3::new(0.0, camera.fy, -camera.fy * point.y / point.z) / point.z;
-                let world_from_camera = DMat3::from_mat4(camera.camera_from_world).transpose();
-                for (row, residual) in [(across, residual.x), (down, residual.y)] {
-                    let row = world_from_camera * row;
+                for (row, residual) in [(at.across, residual.x), (at.down, residual.y)] {
                     information += DMat3::from_cols(row * row.x, row * row.y, row * row.z) * weight;
                     gradient += row * (weight * residual);
                 }

@@ -3,6 +3,7 @@
 use glam::DVec3;
 use serde::Serialize;
 
+use super::pictures::PictureFit;
 use super::problem::{EYE_CORNERS, Heads, Problem, Window, landmarks_in};
 use crate::capture::LANDMARK_COUNT;
 use srflow_core::dense::{inverse, product, subtract_transposed_product};
@@ -29,6 +30,9 @@ pub struct FitReport {
     pub empty_timesteps: Vec<u32>,
     /// What the landmarks determine at one timestep.
     pub reach: Reach,
+    /// How well the pictures agree, if they were aligned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pictures: Option<PictureFit>,
 }
 
 /// The landmarks of one camera.
@@ -94,6 +98,7 @@ impl Problem<'_> {
             suspect_views: Vec::new(),
             empty_timesteps: Vec::new(),
             reach: self.reach(heads, at, noise),
+            pictures: None,
         };
         let mut distances: std::collections::BTreeMap<u32, (CameraFit, Vec<f64>)> = Default::default();
         for (index, (&timestep, views)) in self.timesteps.iter().zip(&self.views).enumerate() {
@@ -218,9 +223,9 @@ impl Problem<'_> {
     fn covariance(&self, heads: &Heads, at: usize, noise: f64) -> Option<Vec<f64>> {
         let (s, d) = (self.shared(), self.own());
         let all = Window::all(heads.states.len()).with_identity();
-        let (whole, _) = self.linearise(heads, &all, noise);
+        let (whole, _) = self.linearise(heads, &all, noise, None);
         let of_identity = whole.solve(0.0)?.shared_covariance;
-        let (one, _) = self.linearise(heads, &Window::one(at).with_identity(), noise);
+        let (one, _) = self.linearise(heads, &Window::one(at).with_identity(), noise, None);
         let block = one.blocks.first()?;
         // The precision whose marginal of the identity is that of all timesteps: its inverse plus what the pose takes away.
         let mut identity = inverse(of_identity, s)?;

@@ -70,8 +70,11 @@ fn a_video_becomes_an_avatar_that_can_be_rendered() {
     assert_eq!((&report["stopped"], &report["focal"]), (&false.into(), &serde_json::json!([600.0, "given"])));
     assert_eq!(report["training"]["iteration"], 30, "{report}");
     assert!(report["face_psnr"].as_f64().unwrap() > 10.0, "{report}");
+    // The face of the clip moves by parts of a pixel.
+    assert!(report["motion"]["distance"].as_f64().unwrap() < 1.0, "{report}");
     let page = fs::read_to_string(folder.join("me/report.html")).unwrap();
     assert!(page.contains("as given") && page.contains("The fitted head") && page.contains("Not trained on"));
+    assert!(page.contains("colours of the skin") && page.contains("flow measured in the video"));
     let chosen = fs::read_to_string(folder.join("me/frames.csv")).unwrap();
     assert_eq!(chosen.lines().count(), 10, "{chosen}");
     // The head is white in its mask, and the corner is not.

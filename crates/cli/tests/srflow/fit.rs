@@ -67,8 +67,13 @@ fn a_captured_head_is_found_and_written_as_a_capture() {
     refuses(&fit(folder, &PERSON), 1, &["fitted/transforms.json exists", "--force"]);
     let no_truth = fit(folder, &[&PERSON[..], &["--force", "--truth", "fitted"]].concat());
     refuses(&no_truth, 1, &["--truth", "no capture.json"]);
-    let text = succeeds(&fit(folder, &[&PERSON[..], &["--force", "--cameras", "8"]].concat()));
+    let text =
+        succeeds(&fit(folder, &[&PERSON[..], &["--force", "--cameras", "8", "--photometric"]].concat()));
     assert!(text.contains("pictures: 3, cameras: 1;") && text.contains("One camera sees no scale"), "{text}");
+    assert!(text.contains("points of the skin differ by"), "{text}");
+    fs::remove_file(folder.join("capture/images/00001_08.png")).unwrap();
+    let gone = fit(folder, &[&PERSON[..], &["--force", "--photometric"]].concat());
+    refuses(&gone, 1, &["images/00001_08.png"]);
 }
 
 #[test]

@@ -9,7 +9,9 @@ use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use srflow_avatar::HeadSource;
 use srflow_avatar::capture::{Capture, CaptureView, LANDMARKS_NAME, Landmarks, write_tracked};
-use srflow_avatar::fit::{FitOptions, FitReport, FitStage, LandmarkView, Reach, fit};
+use srflow_avatar::fit::{
+    FitOptions, FitReport, FitStage, LandmarkView, PictureFit, Reach, ReadPicture, fit,
+};
 use srflow_core::{SettingError, excerpts};
 use srflow_files::{create_folder, write_file};
 use srflow_head::HeadPose;
@@ -66,6 +68,10 @@ pub struct FitJob {
     #[arg(long, value_name = "MM")]
     #[serde(default)]
     pub eye_distance: Option<f64>,
+    /// Then align the pictures with each other by the colours of the skin, and turn the eyes to the irises
+    #[arg(long)]
+    #[serde(default)]
+    pub photometric: bool,
     /// Fit at most this many shapes of the identity basis
     #[arg(long, value_name = "N", default_value_t = default_identities())]
     #[serde(default = "default_identities")]
@@ -206,13 +212,16 @@ impl Job for FitJob {
             ..FitOptions::default()
         };
         let count = watch.count("steps", None);
-        let fitted = fit(&model, &faces, &options, |stage, done, steps| {
+        let read = |view: &LandmarkView| capture.image_at(view.timestep, view.camera_index);
+        let pictures: Option<ReadPicture> = if self.photometric { Some(&read) } else { None };
+        let fitted = fit(&model, &faces, pictures, &options, |stage, done, steps| {
             count.set_total(steps as u64);
             count.set(done as u64);
             count.message(match stage {
                 FitStage::First => "first timestep",
                 FitStage::Track => "tracking",
                 FitStage::Refine => "all timesteps together",
+                FitStage::Align => "aligning the pictures",
             });
         })?;
 
@@ -268,6 +277,7 @@ impl FitJob {
             cameras: Vec::new(),
             noise: None,
             eye_distance: None,
+            photometric: false,
             identities: default_identities(),
             expressions: default_expressions(),
             seed: default_seed(),
@@ -357,6 +367,13 @@ impl fmt::Display for Fitted {
                 .iter()
                 .map(|view| format!("{:05}_{:02}", view.timestep, view.camera_index));
             writeln!(f, "Most landmarks are outliers in pictures {}", listed(&names.collect::<Vec<_>>()))?;
+        }
+        if let Some(PictureFit { points, noise_before, noise, gazes }) = report.pictures {
+            let [before, after] = [noise_before, noise].map(|noise| 100.0 * noise);
+            writeln!(
+                f,
+                "Colours of {points} points of the skin differ by {after:.1} %, {before:.1} % by the landmarks alone; irises found at {gazes} of {timesteps} timesteps"
+            )?;
         }
         write_reach(f, &report.reach, self.eye_distance)?;
         if let Some(error) = &self.mesh_error {

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, bail};
 use glam::{DMat3, DVec2, DVec3, Vec3};
 use serde::{Deserialize, Serialize};
-use srflow_avatar::HeadSource;
+use srflow_avatar::{HeadSource, SurfacePoint, visible_surface};
 use srflow_core::{Image, Size};
 use srflow_face::{Face, FaceBox, FaceFinder};
 use srflow_files::{write_file, write_image_png};
@@ -14,7 +14,6 @@ use srflow_head::{Region, vertex_normals};
 use srflow_splat::Camera;
 
 use super::mesh::default_seed;
-use super::mesh_picture::{SurfacePoint, visible};
 use crate::clap::Args;
 use crate::face::{FaceModels, draw_points};
 use crate::output::{ensure_extension, ensure_free, write_line};
@@ -136,7 +135,7 @@ impl SeenMesh {
         let centre =
             vertices.iter().map(|vertex| vertex.as_dvec3()).sum::<DVec3>() / vertices.len().max(1) as f64;
         let look = |camera: &Camera, [facing, up]: [DVec3; 2]| -> anyhow::Result<Option<Self>> {
-            let points = visible(vertices, triangles, camera);
+            let points = visible_surface(vertices, triangles, camera);
             let picture = lit(&points, triangles, &normals, color, facing, up);
             let face = finder.faces(&picture)?.into_iter().max_by(|a, b| a.score.total_cmp(&b.score));
             let pixels_per_unit = camera.fx / camera.position().distance(centre);

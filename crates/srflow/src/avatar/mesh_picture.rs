@@ -1,57 +1,9 @@
-//! A mesh as a camera sees it.
+//! A mesh as a camera sees it, over a picture.
 
-use glam::{DVec2, DVec3, Vec3};
-use srflow_core::{Image, Plane, Size};
+use glam::Vec3;
+use srflow_avatar::visible_surface;
+use srflow_core::{Image, Plane};
 use srflow_splat::Camera;
-
-/// A point of a mesh that a camera sees.
-#[derive(Debug, Clone, Copy)]
-pub struct SurfacePoint {
-    pub triangle: usize,
-    /// Weights of the triangle's corners.
-    pub weights: DVec3,
-    /// Along the camera's axis.
-    pub depth: f64,
-}
-
-/// The nearest point of the surface at each pixel, row by row; `None` where there is none.
-pub fn visible(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Vec<Option<SurfacePoint>> {
-    let Size { width, height } = camera.size();
-    let mut points: Vec<Option<SurfacePoint>> = vec![None; width * height];
-    let seen: Vec<Option<(DVec2, f64)>> =
-        vertices.iter().map(|vertex| camera.project(vertex.as_dvec3())).collect();
-    for (number, triangle) in triangles.iter().enumerate() {
-        let [Some((a, da)), Some((b, db)), Some((c, dc))] = triangle.map(|v| seen[v as usize]) else {
-            continue;
-        };
-        let area = (b - a).perp_dot(c - a);
-        if area == 0.0 || !area.is_finite() {
-            continue;
-        }
-        let range = |axis: usize, side: usize| {
-            let low = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0);
-            let high = a[axis].max(b[axis]).max(c[axis]).floor().min(side as f64 - 1.0);
-            low as usize..if high < low { low as usize } else { high as usize + 1 }
-        };
-        for y in range(1, height) {
-            for x in range(0, width) {
-                let at = DVec2::new(x as f64, y as f64);
-                let [of_b, of_c] = [(at - a).perp_dot(c - a) / area, (b - a).perp_dot(at - a) / area];
-                if of_b < 0.0 || of_c < 0.0 || of_b + of_c > 1.0 {
-                    continue;
-                }
-                // On the surface the weights are those in the picture, each by its corner's depth.
-                let by_depth = DVec3::new((1.0 - of_b - of_c) / da, of_b / db, of_c / dc);
-                let depth = 1.0 / by_depth.element_sum();
-                let nearest = &mut points[y * width + x];
-                if nearest.is_none_or(|nearest| depth < nearest.depth) {
-                    *nearest = Some(SurfacePoint { triangle: number, weights: by_depth * depth, depth });
-                }
-            }
-        }
-    }
-    points
-}
 
 /// How brightly the surface is lit from the camera at each pixel, from 0.25 to 1; 0 where there is none.
 pub fn shading(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Plane {
@@ -64,7 +16,7 @@ pub fn shading(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Pl
             (0.25 + 0.75 * normal.dot((eye - p).normalize_or_zero()).abs()) as f32
         })
         .collect();
-    let points = visible(vertices, triangles, camera);
+    let points = visible_surface(vertices, triangles, camera);
     Plane::from_fn(camera.width, camera.height, |x, y| {
         points[y * camera.width + x].map_or(0.0, |point| lit[point.triangle])
     })
@@ -80,29 +32,4 @@ pub fn overlay(image: &Image, shading: &Plane) -> Image {
             (f32::from(pixel[c]) * (1.0 - share) + SURFACE[c] * shade * share).round() as u8
         })
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_nearer_of_two_triangles_is_seen() {
-        let camera = Camera::centred(Size::new(20, 20), [20.0; 2]);
-        let triangle = |depth: f32, tilt: f32| {
-            [Vec3::new(-1.0, -1.0, depth), Vec3::new(1.0, -1.0, depth), Vec3::new(0.0, 1.0, depth + tilt)]
-        };
-        let vertices = [triangle(4.0, 3.0), triangle(3.0, 0.0)].concat();
-        let both = shading(&vertices, &[[0, 1, 2], [3, 4, 5]], &camera);
-        let near = shading(&vertices, &[[3, 4, 5]], &camera);
-        assert_eq!(both.get(10, 10), near.get(10, 10));
-        assert!(near.get(10, 10) > 0.9 && near.get(1, 1) == 0.0);
-        let points = visible(&vertices, &[[0, 1, 2], [3, 4, 5]], &camera);
-        let SurfacePoint { triangle, weights, .. } = points[10 * 20 + 10].unwrap();
-        let corners = [3, 4, 5].map(|v: usize| vertices[v].as_dvec3());
-        let place: DVec3 =
-            corners.iter().zip(weights.to_array()).map(|(corner, weight)| *corner * weight).sum();
-        assert_eq!(triangle, 1);
-        assert!((camera.project(place).unwrap().0 - DVec2::splat(10.0)).length() < 1e-9, "{place}");
-    }
 }

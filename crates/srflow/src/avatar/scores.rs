@@ -40,9 +40,12 @@ pub fn camera_table(split: &SplitScore) -> Table {
 /// A row for each part of the head.
 pub fn mesh_table(error: &MeshError) -> Table {
     let row = |part: &PartDistance| {
-        let PartDistance { part, mean_mm, percentile_95_mm, normal_mean_mm, normal_percentile_95_mm } = *part;
-        let values = [mean_mm, percentile_95_mm, normal_mean_mm, normal_percentile_95_mm].map(Some).to_vec();
-        Row { name: part.to_string(), values, baseline: false }
+        let any = [part.mean_mm, part.percentile_95_mm];
+        let normal = [part.normal_mean_mm, part.normal_percentile_95_mm];
+        let aligned = [part.aligned_mean_mm, part.aligned_percentile_95_mm];
+        let values = [&any[..], &normal, &aligned, &[part.motion_px]].concat();
+        let values = values.into_iter().map(|value| Some(value).filter(|value| value.is_finite())).collect();
+        Row { name: part.part.to_string(), values, baseline: false }
     };
     Table {
         title: format!("Distance of the mesh from the true one, mm (timesteps: {})", error.timesteps),
@@ -51,10 +54,14 @@ pub fn mesh_table(error: &MeshError) -> Table {
             Column::plain("percentile_95_mm", "95 %", 2),
             Column::plain("normal_mean_mm", "along the normal, mean", 2),
             Column::plain("normal_percentile_95_mm", "95 %", 2),
+            Column::plain("aligned_mean_mm", "aligned, mean", 2),
+            Column::plain("aligned_percentile_95_mm", "95 %", 2),
+            Column::plain("motion_px", "motion, px", 3),
         ],
         rows: error.parts.iter().map(row).collect(),
         notes: vec![
-            "Between corresponding points, over the whole surface; along the normal: what is left if points may slide along it."
+            "Between corresponding points, over the whole surface; along the normal: what is left if points may slide along it; \
+             aligned: along the normal, after the skin was moved, turned and scaled onto the true one."
                 .to_owned(),
         ],
         ..Table::default()

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
-use srflow_avatar::capture::{CaptureView, LANDMARKS_NAME, split_of};
+use srflow_avatar::capture::{CaptureSplit, CaptureView, LANDMARKS_NAME};
 use srflow_core::{SettingError, Size};
 use srflow_face::FaceFinder;
 use srflow_files::create_folder;
@@ -49,6 +49,9 @@ pub enum FocalSource {
 /// The focal length of most cameras that people film themselves with, in longer sides of the frame, is this times or divided by 1.5. The
 /// perspective of a face does not tell it: a detector's landmarks are off by more than that changes.
 const USUAL_FOCAL: f64 = 1.1;
+
+/// One of so many frames is held out, over the whole video: the avatar learns all that the person does in it.
+const HELD_OUT_EVERY: u32 = 8;
 
 /// The longer side of a frame of 35 mm film, millimetres.
 const FILM: f64 = 36.0;
@@ -135,9 +138,12 @@ fn views(frames: &Frames, focal: f64) -> Vec<CaptureView> {
     let facing = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
     let camera = Camera::centred(frames.size, [focal; 2]).placed(facing, DVec3::Z);
     let timesteps: Vec<u32> = (0..frames.numbers.len() as u32).collect();
-    let split_of = split_of(&timesteps, &[CAMERA]);
     let view = |timestep: &u32| CaptureView {
-        split: split_of(*timestep, CAMERA),
+        split: if timestep % HELD_OUT_EVERY == HELD_OUT_EVERY / 2 {
+            CaptureSplit::Test
+        } else {
+            CaptureSplit::Train
+        },
         timestep: *timestep,
         camera_index: CAMERA,
         camera,

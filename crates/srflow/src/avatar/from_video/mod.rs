@@ -5,6 +5,7 @@ mod frames;
 mod hidden;
 mod hull;
 mod masks;
+mod motion;
 mod page;
 mod scores;
 
@@ -32,6 +33,8 @@ pub(super) use capture::{CapturedVideo, focal_text};
 pub use capture::{FocalSource, VideoArgs};
 use masks::head_mask;
 pub(super) use masks::{MASKS, write_masks};
+pub use motion::MotionScores;
+use motion::motion_scores;
 use scores::face_scores;
 
 /// Make an avatar from a video of one person
@@ -146,7 +149,9 @@ impl Job for FromVideoJob {
             let landmarks = Landmarks::read(&self.out.join(LANDMARKS_NAME))?;
             let face = face_scores(&self.out.join(AVATAR), &head.capture, &landmarks, page::FRAMES)?;
             made.face_psnr = face.as_ref().map(|face| face.psnr);
-            let page = page::page(&self.video, &self.out, &record, &head, &trained, face.as_ref())?;
+            made.motion = motion_scores(&self.out.join(AVATAR), &head.capture, &landmarks, watch)?;
+            let scores = (face.as_ref(), made.motion.as_ref());
+            let page = page::page(&self.video, &self.out, &record, &head, &trained, scores)?;
             write_file(&self.out.join(REPORT_NAME), page.html())?;
             made.avatar.clone_from(&trained.avatar);
             made.report = Some(self.out.join(REPORT_NAME));
@@ -230,7 +235,9 @@ impl FromVideoJob {
             return Ok(());
         }
         let job = FitJob::new(self.out.clone(), self.model.clone(), out);
-        FitJob { eye_distance: self.eye_distance, force: true, ..job }.work(watch).map(|_| ())
+        FitJob { eye_distance: self.eye_distance, photometric: true, force: true, ..job }
+            .work(watch)
+            .map(|_| ())
     }
 
     /// Writes the masks that are missing; `false` when it was stopped.
@@ -302,6 +309,8 @@ pub struct AvatarOfVideo {
     pub focal: Option<(f64, FocalSource)>,
     /// PSNR on the face in held-out frames, dB, once the run is complete.
     pub face_psnr: Option<f64>,
+    /// How far the avatar's flow is from the one measured in held-out frames, once the run is complete.
+    pub motion: Option<MotionScores>,
     /// Frames that were chosen.
     pub frames: usize,
     /// Frames that were left out, since something hides the face.
@@ -323,6 +332,7 @@ impl AvatarOfVideo {
             focal: None,
             frames: 0,
             hidden: 0,
+            motion: None,
             out: out.to_owned(),
             report: None,
             stopped: true,
@@ -351,6 +361,12 @@ impl fmt::Display for AvatarOfVideo {
         };
         if let Some(psnr) = self.face_psnr {
             writeln!(f, "{psnr:.2} dB on the face in frames that were not trained on")?;
+        }
+        if let Some(MotionScores { distance, length, .. }) = self.motion {
+            writeln!(
+                f,
+                "{distance:.2} px between the avatar's flow and the measured one, whose median length is {length:.2} px"
+            )?;
         }
         write_line(f, format_args!("Avatar: {}", avatar.display()))?;
         write_page(f, report)

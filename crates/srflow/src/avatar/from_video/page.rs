@@ -10,6 +10,7 @@ use srflow_head::PoseParameters;
 use srflow_report::html::{Film, Page, Section, facts, films, tiles};
 use srflow_report::shrink_image;
 
+use super::motion::MotionScores;
 use super::scores::FaceScores;
 use super::{FIT_NAME, FittedHead, HEAD, VideoRecord, focal_text};
 use crate::avatar::mesh_picture::overlay;
@@ -38,7 +39,7 @@ pub fn page(
     record: &VideoRecord,
     head: &FittedHead,
     trained: &TrainedAvatar,
-    face: Option<&FaceScores>,
+    (face, motion): (Option<&FaceScores>, Option<&MotionScores>),
 ) -> anyhow::Result<Page> {
     let FittedHead { capture, poses, .. } = head;
     let fit: Value = serde_json::from_str(&read_text(&out.join(HEAD).join(FIT_NAME), FileKind::Json)?)?;
@@ -79,6 +80,17 @@ pub fn page(
             format!("{:.1} standard deviations", number("/reach/largest_identity")),
         ),
     ];
+    if let Some(agreement) = fit.pointer("/pictures") {
+        let share = |key: &str| 100.0 * agreement.get(key).and_then(Value::as_f64).unwrap_or(f64::NAN);
+        let text = format!("{:.1} %, {:.1} % by the landmarks alone", share("noise"), share("noise_before"));
+        known.push(("difference between colours of the skin".to_owned(), text));
+    }
+    if let Some(MotionScores { pairs, distance, length }) = motion {
+        let text = format!(
+            "{distance:.2} px, where the face moves {length:.2} px; medians over {pairs} held-out frames"
+        );
+        known.push(("distance from the flow measured in the video".to_owned(), text));
+    }
     let reach = Motion::of(poses);
     known.extend(reach.facts());
     if record.hidden > 0 {
@@ -105,8 +117,7 @@ pub fn page(
         let shown: Vec<Image> = shown.iter().map(|pair| shrink_image(pair, 2 * WIDTH)).collect();
         let film =
             Film::new(&shown, "Not trained on", "Left the frames, right the avatar with the fitted pose.")?;
-        let about =
-            "The last part of the video was held out. Long hair does not follow the head, and is blurred.";
+        let about = "One frame of eight was held out. Long hair does not follow the head, and is blurred.";
         sections.insert(0, Section::new("The avatar", about, vec![films(&[film], 3.0, "")]));
     }
     Ok(Page {

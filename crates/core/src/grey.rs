@@ -4,6 +4,9 @@
 
 use crate::{Image, Plane};
 
+/// Shares of red, green and blue in the luma of Rec. 601.
+pub const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
+
 /// `cv2.cvtColor(..., COLOR_RGB2GRAY)`: 15 bits, rounded.
 /// Defined by `modules/imgproc/src/color.simd_helpers.hpp` and `color_rgb.simd.hpp` of OpenCV.
 pub fn opencv_grey([r, g, b]: [u8; 3]) -> u8 {

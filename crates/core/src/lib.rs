@@ -31,7 +31,7 @@ pub use estimator::{EstimateError, FlowEstimate, FlowEstimator, FlowSequence, ch
 pub use excerpt::{excerpt, excerpts, is_unprintable, printable};
 pub use flow_colors::{flow_colors, longest_flow};
 pub use forward_interpolate::forward_interpolate;
-pub use grey::{luminance, opencv_grey, pillow_grey};
+pub use grey::{LUMA, luminance, opencv_grey, pillow_grey};
 pub(crate) use grid::check_same_size;
 pub use grid::{FlowField, Image, Labels, Mask, Plane, SizeError, SizeMismatch};
 pub use landmarks::MEDIAPIPE_OF_DLIB;

@@ -36,7 +36,7 @@ pub use image_file::{
     rgba_of_image, write_image_png, write_labels_png, write_mask_png,
 };
 pub use json_lines::{JsonLines, RecordError, parse_sealed_json, read_json_lines, sealed_json};
-pub use open::{FileKind, open_file, read_file, read_text};
+pub use open::{FileKind, file_beside, open_file, read_file, read_text};
 pub use parse_words::parse_error_in_words;
 pub use point_table::{PointRow, PointSet, PointTable};
 pub use run_folder::{RUN_CONFIG, RunFolder, RunFolderError, RunMode, read_run_log};

@@ -2,7 +2,7 @@
 
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::{FileError, FileProblem};
 
@@ -62,6 +62,14 @@ impl FileKind {
             Self::Video => ("a video", u64::MAX),
         }
     }
+}
+
+/// The file that another one names, in its folder or below it; `None` for a name that leads elsewhere. Windows' separators count too.
+pub fn file_beside(path: &Path, name: &str) -> Option<PathBuf> {
+    let name = name.replace('\\', "/");
+    let name = name.strip_prefix("./").unwrap_or(&name);
+    let is_below = !name.contains(':') && !name.split('/').any(|part| ["", ".", ".."].contains(&part));
+    is_below.then(|| path.with_file_name(name))
 }
 
 /// Opens a file for reading and returns its size in bytes. Symbolic links are followed.
@@ -192,6 +200,16 @@ mod tests {
         assert!(error.contains("expected a file of settings of at most 1 MiB, found 2 MiB"), "{error}");
         File::create(&path).unwrap().set_len(1 << 20).unwrap();
         assert_eq!(read_file(&path, FileKind::Settings).unwrap().len(), 1 << 20);
+    }
+
+    #[test]
+    fn only_files_beside_or_below_are_named() {
+        let found = |name| file_beside(Path::new("heads/a.obj"), name);
+        assert_eq!(found("a.mtl"), Some("heads/a.mtl".into()));
+        assert_eq!(found(r".\maps\skin.png"), Some("heads/maps/skin.png".into()));
+        for name in ["", "../a.mtl", "/etc/passwd", r"C:\a.mtl", "maps/../../a.mtl", "a//b"] {
+            assert_eq!(found(name), None, "{name}");
+        }
     }
 
     #[test]

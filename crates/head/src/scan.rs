@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use srflow_core::excerpt;
-use srflow_files::{FileError, FileKind, FileProblem, read_file};
+use srflow_files::{FileError, FileKind, FileProblem, file_beside, read_file};
 
 use crate::found_head::{found_head, region_of_name};
 use crate::mesh_colors::{Alpha, Material, MeshColors, Texture, Textures};
@@ -77,7 +77,7 @@ fn materials(
 ) -> Result<HashMap<String, Material>, HeadError> {
     let mut materials = HashMap::new();
     for library in &obj.libraries {
-        match beside(path, library).and_then(|file| Ok((read_file(&file, FileKind::Settings)?, file))) {
+        match named_beside(path, library).and_then(|file| Ok((read_file(&file, FileKind::Settings)?, file))) {
             Ok((bytes, file)) => read_materials(&file, &bytes, textures, &mut materials)?,
             Err(error) => log::warn!("{}: the materials are left out: {error}", path.display()),
         }
@@ -92,7 +92,7 @@ pub(crate) fn files_named_in(path: &Path) -> Vec<PathBuf> {
         let text = String::from_utf8_lossy(&bytes);
         let names = text.lines().filter_map(|line| line.trim().strip_prefix(key));
         names
-            .filter_map(|name| beside(path, name_of(name.trim())).ok())
+            .filter_map(|name| file_beside(path, name_of(name.trim())))
             .filter(|path| path.exists())
             .collect()
     };
@@ -166,22 +166,16 @@ fn color(text: &str) -> Option<Vec3> {
 
 fn texture(path: &Path, name: &str, textures: &mut Textures) -> Option<Arc<Texture>> {
     textures.get(format!("{}, texture {}", path.display(), excerpt(name)), || {
-        let file = beside(path, name)?;
+        let file = named_beside(path, name)?;
         Texture::parse(&read_file(&file, FileKind::Image)?).map_err(|problem| problem.in_file(&file))
     })
 }
 
-/// The file of this name in the folder of `path` or below it.
-fn beside(path: &Path, name: &str) -> Result<PathBuf, FileError> {
-    // Programs of Windows write its separators.
-    let name = name.replace('\\', "/");
-    let name = name.strip_prefix("./").unwrap_or(&name);
-    let is_below = !name.contains(':') && !name.split('/').any(|part| ["", ".", ".."].contains(&part));
-    if is_below {
-        return Ok(path.with_file_name(name));
-    }
-    let expected = "the name of a file in the same folder, or below it";
-    Err(FileProblem::field("file", expected, excerpt(name)).in_file(path))
+fn named_beside(path: &Path, name: &str) -> Result<PathBuf, FileError> {
+    file_beside(path, name).ok_or_else(|| {
+        let expected = "the name of a file in the same folder, or below it";
+        FileProblem::field("file", expected, excerpt(name)).in_file(path)
+    })
 }
 
 #[cfg(test)]

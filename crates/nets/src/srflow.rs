@@ -17,7 +17,7 @@ use burn::tensor::ops::PadMode;
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use srflow_classical::{TvL1, TvL1Parameters};
-use srflow_core::Plane;
+use srflow_core::{LUMA, Plane};
 use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation::{Identity, LeakyRelu};
@@ -69,8 +69,6 @@ pub(crate) const EVIDENCE: LucasKanade = LucasKanade { radii: [1, 3], noise: 1.4
 pub(crate) const LOG_SCALE_RANGE: [f64; 2] = [-2.3, 10.0];
 /// Initial weight of a cell that bilinear interpolation leaves out; it can be learned.
 const NOT_BILINEAR: f32 = 1.0 / 128.0;
-/// Weights of red, green and blue in luminance.
-const LUMINANCE: [f32; 3] = [0.299, 0.587, 0.114];
 /// A flow is clearly worse where its residual is more than this much of the other's, and this much, in frames from -1 to 1.
 pub(crate) const WORSE_FACTOR: f64 = 1.1;
 pub(crate) const WORSE_BY: f64 = 0.01;
@@ -459,7 +457,7 @@ fn between(method: &TvL1, frames: [Tensor<4>; 2]) -> Tensor<4> {
         let luminance = |frame: &[f32]| {
             Plane::from_fn(width, height, |x, y| {
                 let at = y * width + x;
-                let channels = LUMINANCE.iter().zip(frame.chunks_exact(width * height));
+                let channels = LUMA.iter().zip(frame.chunks_exact(width * height));
                 127.5 * (1.0 + channels.map(|(weight, channel)| weight * channel[at]).sum::<f32>())
             })
         };

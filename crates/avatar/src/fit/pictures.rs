@@ -6,6 +6,8 @@
 //! the photometric energy of VHAP (`vhap/model/tracker.py`) with points in place of a rendered texture, and solved together with the
 //! landmarks.
 
+use std::collections::HashSet;
+
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -513,7 +515,7 @@ fn harmonics(DVec3 { x, y, z }: DVec3) -> [f64; HARMONICS] {
     [x, y, z, x * y, y * z, x * z, x * x - y * y, z * z - 1.0 / 3.0]
 }
 
-/// Vertices of the face's skin, at least `spacing` apart, metres.
+/// Vertices of the face's skin, one in each cell of this side, metres.
 fn skin_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
     let landmarks: Vec<Vec3> = model.landmarks_on(&model.template).collect();
     // In front of the ears, and below the hair of most people.
@@ -526,22 +528,13 @@ fn skin_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
     for (triangle, _) in model.triangles.iter().zip(&model.regions).filter(|(_, region)| facial(region)) {
         triangle.iter().for_each(|vertex| on_face[*vertex as usize] = true);
     }
-    let spacing = spacing as f32;
-    let cell = |at: Vec3| (at / spacing).floor().as_ivec3();
-    let mut taken: std::collections::HashMap<glam::IVec3, Vec<Vec3>> = Default::default();
-    let mut points = Vec::new();
-    for (vertex, &at) in model.template.iter().enumerate() {
-        if !on_face[vertex] || at.z < behind || at.y > top {
-            continue;
-        }
-        let around = (0..27).map(|i| cell(at) + glam::IVec3::new(i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1));
-        let mut near = around.filter_map(|cell| taken.get(&cell)).flatten();
-        if near.all(|other| other.distance(at) >= spacing) {
-            taken.entry(cell(at)).or_default().push(at);
-            points.push(vertex as u32);
-        }
-    }
-    points
+    let mut taken = HashSet::new();
+    let is_chosen = |(vertex, at): (usize, &Vec3)| {
+        let inside = on_face[vertex] && at.z >= behind && at.y <= top;
+        let is_first = inside && taken.insert((*at / spacing as f32).floor().as_ivec3());
+        is_first.then_some(vertex as u32)
+    };
+    model.template.iter().enumerate().filter_map(is_chosen).collect()
 }
 
 impl Problem<'_> {

@@ -29,6 +29,7 @@ pub use folds::Crease;
 use hair_shadow::HairShadow;
 use light::{Exposure, Studio};
 pub use shading::{Shading, ShadingFacts, ShadingTables};
+pub(crate) use surface::cell_of;
 use surface::{Surface, SurfacePoint};
 
 /// One Gaussian in world units.

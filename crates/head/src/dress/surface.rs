@@ -245,9 +245,9 @@ pub(super) fn unit_normals(vertices: &[Vec3], model: &HeadModel) -> Vec<Vec3> {
 }
 
 /// The cell of side 1 that a point is in: its coordinates rounded down, faster than by `floor`, which is software.
-pub(super) fn cell_of(p: Vec3) -> IVec3 {
+pub(crate) fn cell_of(p: Vec3) -> IVec3 {
     let towards_zero = p.as_ivec3();
-    towards_zero.wrapping_sub(IVec3::from(p.cmplt(towards_zero.as_vec3())))
+    towards_zero.saturating_sub(IVec3::from(p.cmplt(towards_zero.as_vec3())))
 }
 
 /// By cell.

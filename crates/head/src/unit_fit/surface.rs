@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use glam::{IVec3, Vec3};
 
-use crate::dress::nearest_weights;
+use crate::dress::{cell_of, nearest_weights};
 
 /// Cells that one triangle may touch; larger triangles are not part of a face.
 const MOST_CELLS: f32 = 4096.0;
@@ -35,7 +35,7 @@ impl<'a> Surface<'a> {
     pub(super) fn new(vertices: &'a [Vec3], triangles: &'a [[u32; 3]], cell: f32) -> Self {
         let mut cells: HashMap<IVec3, Vec<u32>> = HashMap::new();
         for (number, triangle) in (0..).zip(triangles) {
-            let corners = triangle.map(|v| (vertices[v as usize] / cell).floor().as_ivec3());
+            let corners = triangle.map(|v| cell_of(vertices[v as usize] / cell));
             let [low, high] =
                 [corners[0].min(corners[1]).min(corners[2]), corners[0].max(corners[1]).max(corners[2])];
             let size = high.as_vec3() - low.as_vec3() + 1.0;
@@ -51,7 +51,7 @@ impl<'a> Surface<'a> {
 
     /// The point nearest to `p` of the triangles whose normals are within 70 degrees of `normal`; `None` if none is within three cells.
     pub(super) fn nearest(&self, p: Vec3, normal: Vec3) -> Option<Nearest> {
-        let at = (p / self.cell).floor().as_ivec3();
+        let at = cell_of(p / self.cell);
         // Whatever is outside of the cells around is further away than one cell, or three.
         let near = self.nearest_within(p, normal, at, 1).filter(|nearest| nearest.distance <= self.cell);
         near.or_else(|| self.nearest_within(p, normal, at, REACH))

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::Path;
 
-use srflow_core::{Plane, Size};
+use srflow_core::{LUMA, Plane, Size};
 use srflow_data::region_map::HeadPart;
 use srflow_files::{FileError, write_atomically};
 use srflow_splat::Frame;
@@ -37,7 +37,6 @@ pub fn write_depth(path: &Path, frame: &Frame, bytes: &mut Vec<u8>) -> Result<()
 /// Writes how much brighter the head becomes, with 16 bits: 32768, and 128 times the change of the luma in levels of 255. In `frame` the
 /// colours are a half and half of the change, in front of a background of one half.
 pub fn write_shading_change(path: &Path, frame: &Frame, bytes: &mut Vec<u8>) -> Result<(), FileError> {
-    const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
     bytes.clear();
     bytes.extend(frame.color.iter().flat_map(|color| {
         let change: f32 = color.iter().zip(LUMA).map(|(channel, share)| 2.0 * (channel - 0.5) * share).sum();

@@ -3,7 +3,7 @@
 //! lossless and left out. The arithmetic of a codec may differ between processors; this one's does not.
 
 use rayon::prelude::*;
-use srflow_core::{Image, Size};
+use srflow_core::{Image, LUMA, Size};
 
 /// Side of a block.
 const SIDE: usize = 8;
@@ -172,7 +172,7 @@ fn product(a: &Block, b: &Block) -> Block {
 fn ycc([red, green, blue]: [u8; 3]) -> [u8; 3] {
     let [red, green, blue] = [red, green, blue].map(f32::from);
     [
-        0.299 * red + 0.587 * green + 0.114 * blue,
+        LUMA[0] * red + LUMA[1] * green + LUMA[2] * blue,
         -0.168_735_9 * red - 0.331_264_1 * green + 0.5 * blue + 128.0,
         0.5 * red - 0.418_687_6 * green - 0.081_312_4 * blue + 128.0,
     ]

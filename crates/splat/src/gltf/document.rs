@@ -10,7 +10,7 @@ use glam::{DMat4, DQuat, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
 use srflow_core::excerpt;
-use srflow_files::{FileError, FileKind, FileProblem, parse_error_in_words, read_file};
+use srflow_files::{FileError, FileKind, FileProblem, file_beside, parse_error_in_words, read_file};
 
 use super::animation::Animation;
 use super::material::{Material, Texture};
@@ -501,8 +501,7 @@ fn read_uri(path: &Path, uri: &str, kind: FileKind) -> Result<Vec<u8>, FileError
 
 /// The file of a uri in the folder of a document or below it.
 fn beside(path: &Path, uri: &str) -> Option<PathBuf> {
-    let is_below = !uri.contains(['\\', ':']) && !uri.split('/').any(|part| ["", ".", ".."].contains(&part));
-    is_below.then(|| path.with_file_name(uri.replace("%20", " ")))
+    file_beside(path, &uri.replace("%20", " "))
 }
 
 fn from_base64(text: &str) -> Option<Vec<u8>> {

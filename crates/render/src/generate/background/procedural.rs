@@ -6,8 +6,8 @@ use std::f32::consts::FRAC_PI_2;
 
 use glam::{DVec2, Vec3};
 use rayon::prelude::*;
-use srflow_core::Image;
 use srflow_core::random::{Key, Stream};
+use srflow_core::{Image, LUMA};
 use srflow_head::Look;
 
 use crate::recording::defocus;
@@ -290,7 +290,7 @@ fn mixed(from: Colour, to: Colour, share: f32) -> Colour {
 
 /// Brightness by Rec. 601.
 fn luma([red, green, blue]: Colour) -> f32 {
-    0.299 * red + 0.587 * green + 0.114 * blue
+    LUMA[0] * red + LUMA[1] * green + LUMA[2] * blue
 }
 
 /// A rectangle or an ellipse along the axes, or a leaf.

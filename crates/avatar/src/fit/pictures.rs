@@ -81,6 +81,8 @@ const LIGHT_PRECISION: f64 = 1e-3;
 pub(super) struct Patch {
     pub camera: Camera,
     pub channels: [Plane; 3],
+    /// Pixels between the outer corners of the eyes.
+    corners: f64,
 }
 
 /// What is to be seen of each point in one picture; `None` where it is hidden.
@@ -92,7 +94,7 @@ pub(super) struct Pictures {
     points: HeadPoints,
     /// Of each view of each timestep, at the finest level; `None` where the face is not in the picture.
     finest: Vec<Vec<Option<Patch>>>,
-    /// Pixels between the outer corners of the eyes.
+    /// Pixels between the outer corners of the eyes, at most.
     level: f64,
     /// Those of this level.
     patches: Vec<Vec<Option<Patch>>>,
@@ -137,15 +139,16 @@ impl Patch {
             ..*camera
         };
         let [.., finest] = LEVELS;
-        Some(Self { camera: cropped, channels: [0, 1, 2].map(channel) }.shrunk(finest / corners))
+        Some(Self { camera: cropped, channels: [0, 1, 2].map(channel), corners }.shrunk(finest))
     }
 
-    /// With fewer pixels, if `factor` is less than one.
-    fn shrunk(&self, factor: f64) -> Self {
-        let side = |side: usize| ((side as f64 * factor.min(1.0)).round() as usize).max(1);
+    /// With so many pixels between the corners of the eyes, or all of them.
+    fn shrunk(&self, corners: f64) -> Self {
+        let factor = (corners / self.corners).min(1.0);
+        let side = |side: usize| ((side as f64 * factor).round() as usize).max(1);
         let size = Size::new(side(self.camera.width), side(self.camera.height));
         let channels = self.channels.each_ref().map(|channel| shrink_area(channel, size, 1.0));
-        Self { camera: self.camera.resized(size), channels }
+        Self { camera: self.camera.resized(size), channels, corners: self.corners * factor }
     }
 
     /// The levels at a pixel, and how they change to the right and downwards; `None` outside.
@@ -178,18 +181,12 @@ impl Pictures {
         let points = HeadPoints::vertices(problem.model, vertices.iter().copied());
         let patches = |(timestep, views): (usize, &Vec<&LandmarkView>)| {
             let positions = points.positions(heads.state(timestep));
-            let landmarks = problem.points.positions(heads.state(timestep));
-            let [right, left] = EYE_CORNERS.map(|corner| landmarks[corner]);
+            let corner = problem.points.positions(heads.state(timestep))[EYE_CORNERS[0]];
             let of_view = |view: &&LandmarkView| {
-                let corners = [right, left].map(|corner| view.camera.project(corner));
-                let [Some((right, depth)), Some(_)] = corners else { return Ok(None) };
+                let Some((_, depth)) = view.camera.project(corner) else { return Ok(None) };
                 // As from the front, where a head that is turned away shows less.
                 let corners = view.camera.fx * problem.size(heads.state(timestep)).0 / depth;
-                let near = view.camera.width.max(view.camera.height) as f64;
-                if !(corners >= LEVELS[0] / 2.0
-                    && right.is_finite()
-                    && right.abs().max_element() < 4.0 * near)
-                {
+                if corners < LEVELS[0] / 2.0 {
                     return Ok(None);
                 }
                 Ok(Patch::of(&read(view)?, &view.camera, &positions, corners))
@@ -218,8 +215,7 @@ impl Pictures {
             return;
         }
         self.level = corners;
-        let [.., finest] = LEVELS;
-        let of_view = |patch: &Option<Patch>| patch.as_ref().map(|patch| patch.shrunk(corners / finest));
+        let of_view = |patch: &Option<Patch>| patch.as_ref().map(|patch| patch.shrunk(corners));
         self.patches = self.finest.par_iter().map(|views| views.iter().map(of_view).collect()).collect();
     }
 

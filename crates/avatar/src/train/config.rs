@@ -41,6 +41,7 @@ pub struct TrainConfig {
     ///   the last iteration;
     /// - Gaussians have their size at the timestep rendered last when it is decided whether they are small or large;
     /// - poses move by their momentum while other timesteps are drawn;
+    /// - Gaussians before one camera do not move, and are too large;
     /// - the defects of [`DensityScene::faithful`](super::DensityScene::faithful).
     pub faithful: bool,
     pub rates: RateSchedule,

@@ -1,6 +1,6 @@
 //! What training starts from.
 
-use glam::{Quat, Vec3};
+use glam::{DVec3, Quat, Vec3};
 use srflow_core::random::Key;
 use srflow_splat::{Camera, Gaussians};
 
@@ -30,9 +30,20 @@ pub fn camera_extent<'a>(cameras: impl Iterator<Item = &'a Camera>) -> f64 {
     1.1 * positions.iter().map(|position| position.distance(mean)).fold(0.0, f64::max)
 }
 
+/// The least extent of a scene, in mean distances from its cameras to the head.
+const LEAST_EXTENT: f64 = 0.5;
+
+/// [`camera_extent`] of cameras, each with the place of the head in front of it, but no less than half of their mean distance. One camera
+/// alone has no extent: no Gaussian would move, and all would be removed as too large.
+pub fn scene_extent(cameras: &[(&Camera, DVec3)]) -> f64 {
+    let distances = cameras.iter().map(|(camera, head)| camera.position().distance(*head));
+    let mean = distances.sum::<f64>() / cameras.len().max(1) as f64;
+    camera_extent(cameras.iter().map(|(camera, _)| *camera)).max(LEAST_EXTENT * mean)
+}
+
 #[cfg(test)]
 mod tests {
-    use glam::{DMat3, DVec3};
+    use glam::DMat3;
     use srflow_core::Size;
 
     use super::*;
@@ -54,5 +65,10 @@ mod tests {
         let cameras = [at(0.0), at(1.0), at(5.0)];
         assert!((camera_extent(cameras.iter()) - 1.1 * 3.0).abs() < 1e-12);
         assert_eq!(camera_extent([].iter()), 0.0);
+        let before = |cameras: &[Camera], head: DVec3| {
+            scene_extent(&cameras.iter().map(|camera| (camera, head)).collect::<Vec<_>>())
+        };
+        assert_eq!(before(&cameras, DVec3::new(1.0, 5.0, 1.0)), camera_extent(cameras.iter()));
+        assert_eq!(before(&cameras[..1], DVec3::new(0.0, 5.0, 0.8)), 0.4, "one camera");
     }
 }

@@ -19,7 +19,7 @@ pub use adam::{GaussianAdam, LearningRates, ParameterGradients};
 pub use config::{ConfigError, TrainConfig};
 pub use density::{DensityChange, DensityControl, DensityScene, DensityStatistics, Strategy, change_density};
 pub use image_loss::ImageLoss;
-pub use initial::{camera_extent, initial_gaussians};
+pub use initial::{camera_extent, initial_gaussians, scene_extent};
 pub use mcmc::Mcmc;
 pub use pose_adam::{PoseAdam, PoseRates};
 pub use presets::PRESETS;

@@ -15,7 +15,7 @@ use super::mcmc::{relocate, wander};
 use super::{
     ConfigError, DensityChange, DensityScene, DensityStatistics, GaussianAdam, ImageLoss, ParameterGradients,
     PoseAdam, RegularizerValue, Score, Scorer, Strategy, TrainConfig, camera_extent, change_density,
-    initial_gaussians,
+    initial_gaussians, scene_extent,
 };
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
 use crate::{Avatar, AvatarError, BoundGradients, PosedHead};
@@ -122,12 +122,21 @@ impl Trainer {
             let [a, b, c] = triangle.map(|vertex| at_rest[vertex as usize]);
             TriangleFrame::of(a, b, c).scale
         };
+        let timesteps = capture.timesteps();
+        let cameras = training.iter().map(|&number| {
+            let pose = &parameters.poses[views[number].timestep_place(&timesteps)];
+            (&views[number].camera, pose.translation.as_dvec3())
+        });
         let mut buffers = Buffers::default();
         buffers.loss.ssim_weight = config.ssim_weight;
         Ok(Self {
             units_at_rest: model.triangles.iter().map(unit).collect(),
             poses: parameters.poses.iter().map(|pose| pose.pose(model)).collect(),
-            extent: camera_extent(training.iter().map(|&number| &views[number].camera)),
+            extent: if config.faithful {
+                camera_extent(cameras.map(|(camera, _)| camera))
+            } else {
+                scene_extent(&cameras.collect::<Vec<_>>())
+            },
             timesteps: capture.timesteps(),
             adam: GaussianAdam::new(avatar.bound().local()),
             pose_adam: PoseAdam::new(&parameters.poses, config.pose_rates),

@@ -1147,7 +1147,7 @@ def avatar_fit(
         cameras: Use only these cameras.
         noise: Standard deviation of the landmarks, in pixels [default: estimated].
         eye_distance: Distance between the pupils in millimetres, about 63 in adults; gives the scale that a single camera cannot see.
-        photometric: Then align the pictures with each other by the colours of the skin.
+        photometric: Then align the pictures with each other by the colours of the skin, and turn the eyes to the irises.
         identities: Fit at most this many shapes of the identity basis.
         expressions: Fit at most this many shapes of the expression basis.
         seed: Seed of a built-in head.
@@ -1164,7 +1164,7 @@ def avatar_fit(
 def avatar_from_video(
     video: Path,
     out: Path,
-    config: Path = "cpu",
+    config: Path = "video",
     *,
     model: str = "builtin-average",
     eye_distance: float | None = None,
@@ -1219,7 +1219,7 @@ def avatar_train(
 
     Args:
         out: Folder of the run, new or empty.
-        config: Preset (gaussian-avatars, cpu) or TOML file to start from [default: gaussian-avatars].
+        config: Preset (gaussian-avatars, cpu, video) or TOML file to start from [default: gaussian-avatars].
         data: Folder of the capture, as VHAP exports it.
         resume: Continue the run in this folder from its last checkpoint; pass DATA and --model if the capture or head model has moved.
         model: Head model: `builtin` (a head sculpted by code from a seed), `ict:DIR` (ICT-FaceKit's FaceXModel folder), `builtin-average` (the average built-in head, whose identity basis are the traits of persons), `flame:FILE` (FLAME 2020 or 2023 (.pkl or .npz) with VHAP's teeth), `flame-toothless:FILE` (FLAME as published), `gnm:FILE` (GNM Head 3 (gnm_head.npz)), `gltf:FILE` (any head as .glb or .gltf), `obj:FILE` (any mesh as Wavefront .obj, such as a scan), `lam:DIR|ZIP` (an avatar of LAM: skin.glb and offset.ply), `avatar:DIR` (a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model) [default: the one that head.json of the capture names].

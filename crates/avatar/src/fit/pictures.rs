@@ -4,7 +4,7 @@
 //! exposure. In each channel, `ln level = colour + light(normal) + exposure`, where the light is a spherical harmonic function up to
 //! the second order (Ramamoorthi and Hanrahan 2001). The parameters of the head move until all pictures agree, coarse to fine. This is
 //! the photometric energy of VHAP (`vhap/model/tracker.py`) with points in place of a rendered texture, and solved together with the
-//! landmarks.
+//! landmarks. The identity stays that of the landmarks: folds and shadows, which are no colours of points, would change it.
 
 use std::collections::HashSet;
 
@@ -305,14 +305,13 @@ impl Pictures {
         observations
     }
 
-    /// Adds the pictures of a timestep to its terms.
-    pub fn add(&self, problem: &Problem, heads: &Heads, timestep: usize, window: &Window, terms: &mut Terms) {
+    /// Adds the pictures of a timestep to the terms of its own parameters.
+    pub fn add(&self, problem: &Problem, heads: &Heads, timestep: usize, terms: &mut Terms) {
         let Some(expected) = self.expected.get(timestep) else { return };
         let state = heads.state(timestep);
         let derivatives = self.points.derivatives(state);
         let all = self.points.columns();
-        let columns = problem.columns();
-        let asked = if window.has_identity() { 0 } else { problem.identities };
+        let columns = problem.columns().split_off(problem.identities);
         let n = columns.len();
         let limit = problem.options.outlier * problem.options.outlier;
         let precision = INDEPENDENT * self.noise.powi(-2);
@@ -352,7 +351,7 @@ impl Pictures {
                 let start = rows.len();
                 rows.resize(start + 2 * n, 0.0);
                 let (first, second) = rows[start..].split_at_mut(n);
-                for (i, column) in columns.iter().enumerate().skip(asked) {
+                for (i, column) in columns.iter().enumerate() {
                     let moves = DVec2::new(
                         values[*column].dot(projection.across),
                         values[*column].dot(projection.down),
@@ -364,13 +363,12 @@ impl Pictures {
             }
         }
         let hessian = squares(&rows, n);
-        let (total, shared) = (problem.shared() + problem.own(), problem.shared());
-        let place = |i: usize| if i < problem.identities { i } else { shared + i - problem.identities };
-        for i in asked..n {
-            terms.gradient[place(i)] += gradient[i];
-            for j in asked..=i {
-                terms.hessian[place(i) * total + place(j)] += hessian[i * n + j];
-            }
+        let (shared, total) = (problem.shared(), problem.shared() + n);
+        for i in 0..n {
+            terms.gradient[shared + i] += gradient[i];
+            let row = (shared + i) * total + shared;
+            let sums = terms.hessian[row..=row + i].iter_mut();
+            sums.zip(&hessian[i * n..]).for_each(|(sum, value)| *sum += value);
         }
     }
 }

@@ -100,11 +100,6 @@ impl Window {
         (self.range.len() as f64 / INDEPENDENT as f64).max(1.0).sqrt()
     }
 
-    /// Whether what all timesteps share is solved for.
-    pub fn has_identity(&self) -> bool {
-        self.identity
-    }
-
     fn rigid(self) -> Self {
         Self { rigid: true, ..self }
     }
@@ -504,7 +499,7 @@ impl<'a> Problem<'a> {
         let terms = |timestep: usize| {
             let mut terms = self.data(heads, timestep, window, noise);
             if let Some(pictures) = pictures {
-                pictures.add(self, heads, timestep, window, &mut terms);
+                pictures.add(self, heads, timestep, &mut terms);
             }
             let inside = |other: &usize| window.range.contains(other);
             let before = timestep.checked_sub(1).filter(inside);

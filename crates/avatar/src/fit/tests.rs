@@ -45,7 +45,8 @@ fn the_gradient_is_that_of_the_cost() {
 fn check_gradient(problem: &Problem, heads: &Heads, pictures: Option<&Pictures>, length: f64) {
     let mut stream = Key::new(4).stream("directions");
     let mut random = |scale: f64| f64::from(stream.normal()) * scale;
-    let window = Window::all(heads.states.len()).with_identity();
+    let window = Window::all(heads.states.len());
+    let window = if pictures.is_none() { window.with_identity() } else { window };
     let cost = |heads: &_| problem.linearise(heads, &window, 2.0, pictures).1;
     let (System { shared_gradient, blocks, .. }, _) = problem.linearise(heads, &window, 2.0, pictures);
     for _ in 0..20 {

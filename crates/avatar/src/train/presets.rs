@@ -7,7 +7,7 @@ macro_rules! presets {
 }
 
 /// The built-in configurations of trainings, the default first; [`srflow_files::read_settings`] reads them.
-pub const PRESETS: &[Preset] = presets!["gaussian-avatars", "cpu"];
+pub const PRESETS: &[Preset] = presets!["gaussian-avatars", "cpu", "video"];
 
 #[cfg(test)]
 mod tests {

@@ -87,7 +87,7 @@ fn default_model() -> HeadSource {
 }
 
 fn default_config() -> PathBuf {
-    "cpu".into()
+    "video".into()
 }
 
 /// Settings and what was found in the video, written once the capture is whole.

@@ -122,7 +122,7 @@ impl Patch {
         let inside = |at: f64, side: usize| at.round().clamp(0.0, side as f64) as usize;
         let (left, right) = (inside(low.x, camera.width), inside(high.x, camera.width));
         let (top, bottom) = (inside(low.y, camera.height), inside(high.y, camera.height));
-        let size = Size::new(right - left, bottom - top);
+        let size = Size::new(right.saturating_sub(left), bottom.saturating_sub(top));
         if size.width < 8 || size.height < 8 {
             return None;
         }

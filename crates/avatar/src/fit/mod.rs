@@ -187,7 +187,7 @@ pub fn fit(
     let mut report = problem.report(&heads, first, noise);
     if let Some(read) = pictures {
         let step = |done, steps| progress(FitStage::Align, done, steps);
-        report.pictures = Some(problem.align(&mut heads, &Window::all(count), noise, read, step)?);
+        report.pictures = Some(problem.align(&mut heads, noise, read, step)?);
     }
     Ok(Fit { timesteps: problem.timesteps, states: heads.states, report })
 }

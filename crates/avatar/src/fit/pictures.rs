@@ -258,7 +258,7 @@ impl Pictures {
         }
     }
 
-    /// The visible points in the pictures of a timestep, of which the first has number `first`.
+    /// The visible points in the pictures of a timestep. `first` is the number of the first picture.
     fn observe(
         &self,
         problem: &Problem,
@@ -311,7 +311,7 @@ impl Pictures {
         let state = heads.state(timestep);
         let derivatives = self.points.derivatives(state);
         let all = self.points.columns();
-        let columns = problem.columns().split_off(problem.identities);
+        let columns = problem.own_columns();
         let n = columns.len();
         let limit = problem.options.outlier * problem.options.outlier;
         let precision = INDEPENDENT * self.noise.powi(-2);
@@ -408,9 +408,12 @@ impl Look {
     /// What is to be seen.
     fn levels(&self, seen: &Observation) -> [f64; 3] {
         std::array::from_fn(|channel| {
-            let light: f64 = self.light[channel].iter().zip(seen.harmonics).map(|(a, b)| a * b).sum();
-            self.colors[seen.point][channel] + light + self.exposures[seen.picture][channel]
+            self.colors[seen.point][channel] + self.lit(seen, channel) + self.exposures[seen.picture][channel]
         })
+    }
+
+    fn lit(&self, seen: &Observation, channel: usize) -> f64 {
+        self.light[channel].iter().zip(seen.harmonics).map(|(a, b)| a * b).sum()
     }
 
     fn distance(&self, seen: &Observation) -> f64 {
@@ -460,14 +463,11 @@ impl Look {
                 let light = product(&inverse, &right, HARMONICS, 1);
                 self.light[channel].copy_from_slice(&light);
             }
-            let lit = |look: &Self, seen: &Observation, channel: usize| -> f64 {
-                look.light[channel].iter().zip(seen.harmonics).map(|(a, b)| a * b).sum()
-            };
             self.colors = means.mean(observations, |seen| {
-                std::array::from_fn(|c| seen.levels[c] - self.exposures[seen.picture][c] - lit(self, seen, c))
+                std::array::from_fn(|c| seen.levels[c] - self.exposures[seen.picture][c] - self.lit(seen, c))
             });
             self.exposures = in_pictures.mean(observations, |seen| {
-                std::array::from_fn(|c| seen.levels[c] - self.colors[seen.point][c] - lit(self, seen, c))
+                std::array::from_fn(|c| seen.levels[c] - self.colors[seen.point][c] - self.lit(seen, c))
             });
         }
     }
@@ -539,11 +539,11 @@ impl Problem<'_> {
     pub fn align(
         &self,
         heads: &mut Heads,
-        window: &Window,
         noise: f64,
         read: ReadPicture,
         mut progress: impl FnMut(usize, usize),
     ) -> Result<PictureFit, FileError> {
+        let window = Window::all(heads.states.len());
         let mut pictures = Pictures::read(self, heads, read)?;
         let [.., finest] = LEVELS;
         pictures.look(self, heads, finest);
@@ -552,7 +552,7 @@ impl Problem<'_> {
         for (done, level) in rounds.enumerate() {
             progress(done, LEVELS.len() * ROUNDS);
             pictures.look(self, heads, level);
-            self.optimise(heads, window, noise, Some(&pictures), ENOUGH);
+            self.optimise(heads, &window, noise, Some(&pictures), ENOUGH);
         }
         pictures.look(self, heads, finest);
         let gazes = self.turn_eyes(heads, &pictures);

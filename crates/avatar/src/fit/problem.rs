@@ -151,14 +151,13 @@ impl Projection {
     pub fn of(camera: &Camera, position: DVec3) -> Option<Self> {
         let point = camera.camera_from_world.transform_point3(position);
         let world_from_camera = DMat3::from_mat4(camera.camera_from_world).transpose();
-        let row = |focal: f64, axis: DVec3, at: f64| {
-            world_from_camera * ((axis - DVec3::Z * (at / point.z)) * (focal / point.z))
-        };
-        let (x, y) = (point.x / point.z, point.y / point.z);
+        let Camera { fx, fy, cx, cy, .. } = *camera;
+        let across = DVec3::new(fx, 0.0, -fx * point.x / point.z) / point.z;
+        let down = DVec3::new(0.0, fy, -fy * point.y / point.z) / point.z;
         (point.z > 0.0).then(|| Self {
-            pixel: DVec2::new(camera.fx * x + camera.cx, camera.fy * y + camera.cy),
-            across: row(camera.fx, DVec3::X, point.x),
-            down: row(camera.fy, DVec3::Y, point.y),
+            pixel: DVec2::new(fx * point.x / point.z + cx, fy * point.y / point.z + cy),
+            across: world_from_camera * across,
+            down: world_from_camera * down,
         })
     }
 }
@@ -220,13 +219,12 @@ impl<'a> Problem<'a> {
         self.expressions + 3 * self.joints.len() + 3
     }
 
-    /// Columns of [`HeadPoints::derivatives`] of the identity, then of a timestep's own parameters.
-    pub fn columns(&self) -> Vec<usize> {
+    /// Columns of [`HeadPoints::derivatives`] of a timestep's own parameters.
+    pub fn own_columns(&self) -> Vec<usize> {
         let (identities, expressions) = (self.model.identities.len(), self.model.expressions.len());
         let of_joints = identities + expressions;
         let of_joint = |joint: usize| (0..3).map(move |axis| of_joints + 3 * joint + axis);
-        (0..self.identities)
-            .chain(identities..identities + self.expressions)
+        (identities..identities + self.expressions)
             .chain(self.joints.iter().flat_map(|joint| of_joint(*joint)))
             .chain(of_joint(self.model.joints.len()))
             .collect()
@@ -238,8 +236,7 @@ impl<'a> Problem<'a> {
         let state = heads.state(timestep);
         let derivatives = self.points.derivatives(state);
         let all = self.points.columns();
-        let columns = self.columns();
-        let columns = &columns[self.identities..];
+        let columns = self.own_columns();
         let axes = DMat3::from_quat(state.joint(0));
         let (size, slopes) = self.size(state);
         let (root, mut positions) = (self.shared() + self.expressions, derivatives.positions);
@@ -253,7 +250,7 @@ impl<'a> Problem<'a> {
                 }
                 let along = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis * size);
                 row[self.identities + 3 * landmark..][..3].copy_from_slice(&along);
-                for (row, column) in row[self.shared()..].iter_mut().zip(columns) {
+                for (row, column) in row[self.shared()..].iter_mut().zip(&columns) {
                     *row = values[*column];
                 }
                 // The offset turns with the root.

@@ -168,7 +168,7 @@ pub struct DensityChange {
 pub struct DensityScene<'a> {
     /// Metres per local unit of each triangle.
     pub units: &'a [f32],
-    /// Of the cameras, metres; see [`camera_extent`](super::camera_extent).
+    /// Of the cameras, metres; see [`scene_extent`](super::scene_extent).
     pub extent: f32,
     /// Whether oversized Gaussians are removed.
     pub prune_large: bool,

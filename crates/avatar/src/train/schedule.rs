@@ -42,9 +42,9 @@ impl Default for RateSchedule {
 }
 
 impl RateSchedule {
-    /// The rates of iteration `iteration`, counted from 1, for cameras of this `extent` in metres (see [`camera_extent`]).
+    /// The rates of iteration `iteration`, counted from 1, for cameras of this `extent` in metres (see [`scene_extent`]).
     ///
-    /// [`camera_extent`]: super::camera_extent
+    /// [`scene_extent`]: super::scene_extent
     pub fn at(&self, iteration: u64, extent: f64) -> LearningRates {
         let share = (iteration as f64 / self.position_steps.max(1) as f64).min(1.0);
         let (first, last) = (libm::log(self.positions), libm::log(self.positions_final));

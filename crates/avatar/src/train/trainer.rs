@@ -137,7 +137,7 @@ impl Trainer {
             } else {
                 scene_extent(&cameras.collect::<Vec<_>>())
             },
-            timesteps: capture.timesteps(),
+            timesteps,
             adam: GaussianAdam::new(avatar.bound().local()),
             pose_adam: PoseAdam::new(&parameters.poses, config.pose_rates),
             statistics: DensityStatistics::new(avatar.bound().len()),

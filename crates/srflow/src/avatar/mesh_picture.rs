@@ -33,3 +33,23 @@ pub fn overlay(image: &Image, shading: &Plane) -> Image {
         })
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use srflow_core::Size;
+
+    use super::*;
+
+    #[test]
+    fn the_nearer_of_two_triangles_is_lit() {
+        let camera = Camera::centred(Size::new(20, 20), [20.0; 2]);
+        let triangle = |depth: f32, tilt: f32| {
+            [Vec3::new(-1.0, -1.0, depth), Vec3::new(1.0, -1.0, depth), Vec3::new(0.0, 1.0, depth + tilt)]
+        };
+        let vertices = [triangle(4.0, 3.0), triangle(3.0, 0.0)].concat();
+        let both = shading(&vertices, &[[0, 1, 2], [3, 4, 5]], &camera);
+        let near = shading(&vertices, &[[3, 4, 5]], &camera);
+        assert_eq!(both.get(10, 10), near.get(10, 10));
+        assert!(near.get(10, 10) > 0.9 && near.get(1, 1) == 0.0);
+    }
+}

@@ -1,5 +1,8 @@
 //! The area of a face in a picture.
 
+use srflow_avatar::capture::Face;
+use srflow_core::Size;
+
 /// The convex hull of points, such as a face's.
 pub struct Hull(Vec<[f64; 2]>);
 
@@ -31,6 +34,14 @@ impl Hull {
             |(a, b): (&[f64; 2], &[f64; 2])| cross(*a, *b, point) / (b[0] - a[0]).hypot(b[1] - a[1]);
         edges.map(distance).fold(f64::INFINITY, f64::min)
     }
+}
+
+/// Places in a picture of this size, row by row, inside of the hull of a face's landmarks.
+pub fn face_pixels(face: &Face, Size { width, height }: Size) -> Vec<usize> {
+    let points: Vec<[f64; 2]> = face.iter().flatten().copied().collect();
+    let hull = Hull::of(&points);
+    let inside = |pixel: &usize| hull.depth([(pixel % width) as f64, (pixel / width) as f64]) > 0.0;
+    (0..width * height).filter(inside).collect()
 }
 
 fn cross([ax, ay]: [f64; 2], [bx, by]: [f64; 2], [cx, cy]: [f64; 2]) -> f64 {

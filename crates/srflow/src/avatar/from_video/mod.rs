@@ -147,9 +147,15 @@ impl Job for FromVideoJob {
         let trained = self.train(watch)?;
         if !trained.stopped {
             let landmarks = Landmarks::read(&self.out.join(LANDMARKS_NAME))?;
-            let face = face_scores(&self.out.join(AVATAR), &head.capture, &landmarks, page::FRAMES)?;
+            let run = self.out.join(AVATAR);
+            let source: HeadSource =
+                format!("avatar:{}", run.display()).parse().map_err(anyhow::Error::msg)?;
+            let avatar = source.avatar(0)?;
+            let poses = head.capture.poses_of(&avatar)?;
+            let posed = (&avatar, &poses[..]);
+            let face = face_scores(&run, posed, &head.capture, &landmarks, page::FRAMES)?;
             made.face_psnr = face.as_ref().map(|face| face.psnr);
-            made.motion = motion_scores(&self.out.join(AVATAR), &head.capture, &landmarks, watch)?;
+            made.motion = motion_scores(posed, &head.capture, &landmarks, watch)?;
             let scores = (face.as_ref(), made.motion.as_ref());
             let page = page::page(&self.video, &self.out, &record, &head, &trained, scores)?;
             write_file(&self.out.join(REPORT_NAME), page.html())?;

@@ -1,13 +1,12 @@
 //! How far an avatar's flow is from the flow that is measured in the video.
 
-use std::path::Path;
-
 use srflow_avatar::capture::{Capture, CaptureSplit, Landmarks};
-use srflow_avatar::{HeadSource, PosedHead};
+use srflow_avatar::{Avatar, PosedHead};
 use srflow_core::{Tolerance, forward_backward_check, median};
+use srflow_head::HeadPose;
 use srflow_splat::{DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs};
 
-use super::hull::Hull;
+use super::hull::face_pixels;
 use crate::Watch;
 use crate::methods::{MethodParameters, MethodSpec, estimator};
 
@@ -30,19 +29,16 @@ pub struct MotionScores {
 /// # Errors
 /// When a file of the run cannot be read.
 pub fn motion_scores(
-    run: &Path,
+    (avatar, poses): (&Avatar, &[HeadPose]),
     capture: &Capture,
     landmarks: &Landmarks,
     watch: &Watch,
 ) -> anyhow::Result<Option<MotionScores>> {
-    let source: HeadSource = format!("avatar:{}", run.display()).parse().map_err(anyhow::Error::msg)?;
-    let avatar = source.avatar(0)?;
-    let poses = capture.poses_of(&avatar)?;
     let estimator = estimator(&MethodSpec::default(), &MethodParameters::default(), watch)?;
     let timesteps = capture.timesteps();
     let pairs: Vec<_> = capture
         .of(CaptureSplit::Test)
-        .filter_map(|view| Some((view, capture.view_at(view.timestep + 1, view.camera_index)?)))
+        .filter_map(|view| Some((view, capture.view_at(view.timestep.checked_add(1)?, view.camera_index)?)))
         .collect();
     let outputs = Outputs { flow: true, alpha: true, ..Outputs::NONE };
     let options = Options { outputs, ..Options::default() };
@@ -60,13 +56,10 @@ pub fn motion_scores(
         avatar.gaussians_into(&poses[from.timestep_place(&timesteps)], &mut head, &mut now);
         let moved = Next { gaussians: &next, camera: &to.camera };
         rasterizer.render(&now, &from.camera, Some(moved), &options, &mut frame)?;
-        let points: Vec<[f64; 2]> = face.iter().flatten().copied().collect();
-        let hull = Hull::of(&points);
-        for (pixel, trusted) in trusted.pixels().iter().enumerate() {
-            let (x, y) = (pixel % from.camera.width, pixel / from.camera.width);
-            if *trusted && frame.alpha.get(x, y) > 0.5 && hull.depth([x as f64, y as f64]) > 0.0 {
+        for pixel in face_pixels(face, from.camera.size()) {
+            if trusted.pixels()[pixel] && frame.alpha.pixels()[pixel] > 0.5 {
                 let [[u, v], [of_avatar_u, of_avatar_v]] =
-                    [forward.get(x, y), frame.flow.get(x, y)].map(|flow| flow.map(f64::from));
+                    [&forward, &frame.flow].map(|flow| flow.pixels()[pixel].map(f64::from));
                 distances.push((u - of_avatar_u).hypot(v - of_avatar_v));
                 lengths.push(u.hypot(v));
             }

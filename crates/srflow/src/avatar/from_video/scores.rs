@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
-use srflow_avatar::HeadSource;
+use srflow_avatar::Avatar;
 use srflow_avatar::capture::{Capture, CaptureSplit, Landmarks};
 use srflow_avatar::train::{Scorer, read_run};
 use srflow_core::Image;
+use srflow_head::HeadPose;
 
-use super::hull::Hull;
+use super::hull::face_pixels;
 
 /// Of held-out frames.
 pub struct FaceScores {
@@ -23,13 +24,11 @@ pub struct FaceScores {
 /// When a file of the run cannot be read.
 pub fn face_scores(
     run: &Path,
+    (avatar, poses): (&Avatar, &[HeadPose]),
     capture: &Capture,
     landmarks: &Landmarks,
     most: usize,
 ) -> anyhow::Result<Option<FaceScores>> {
-    let source: HeadSource = format!("avatar:{}", run.display()).parse().map_err(anyhow::Error::msg)?;
-    let avatar = source.avatar(0)?;
-    let poses = capture.poses_of(&avatar)?;
     let mut scorer = Scorer::new(read_run(run)?.1);
     let timesteps = capture.timesteps();
     let views: Vec<_> = capture.of(CaptureSplit::Test).collect();
@@ -37,12 +36,8 @@ pub fn face_scores(
     let (mut scores, mut shown) = (Vec::new(), Vec::new());
     for (number, view) in views.iter().enumerate() {
         let Some(face) = landmarks.get(view.timestep, view.camera_index) else { continue };
-        let points: Vec<[f64; 2]> = face.iter().flatten().copied().collect();
-        scorer.score(&avatar, &poses[view.timestep_place(&timesteps)], capture, view)?;
-        let hull = Hull::of(&points);
-        let width = view.camera.width;
-        let inside = |pixel: &usize| hull.depth([(pixel % width) as f64, (pixel / width) as f64]) > 0.0;
-        let pixels: Vec<usize> = (0..scorer.picture().len()).filter(inside).collect();
+        scorer.score(avatar, &poses[view.timestep_place(&timesteps)], capture, view)?;
+        let pixels = face_pixels(face, view.camera.size());
         let square = |pixel: &usize| -> f64 {
             let levels = scorer.rendered()[*pixel].iter().zip(scorer.picture()[*pixel]);
             levels.map(|(found, truth)| f64::from(found.clamp(0.0, 1.0) - truth).powi(2)).sum::<f64>() / 3.0

@@ -2,6 +2,15 @@ use glam::{Quat, Vec3};
 
 use crate::{RasterizeError, sh};
 
+/// A turn by 180 degrees that brings up to down.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum HalfTurn {
+    /// About x, which points to the right: front and back change too, as between OpenCV's axes and OpenGL's.
+    X,
+    /// About z: front stays in front.
+    Z,
+}
+
 /// A set of 3D Gaussians, one entry of each list per Gaussian. Values are activated: scales are standard deviations in
 /// world units (not their logarithms), opacities are probabilities (not logits), rotations are unit quaternions.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -42,16 +51,20 @@ impl Gaussians {
         sh::coefficients(self.sh_degree)
     }
 
-    /// Turns the world by 180 degrees about the x axis, exactly: y and z change their signs, and with them rotations and spherical
+    /// Turns the world by 180 degrees, exactly: two coordinates change their signs, and with them rotations and spherical
     /// harmonics. What was upright where -y is up (OpenCV's axes) is upright where +y is (glTF's), and the reverse.
-    pub fn turn_about_x(&mut self) {
+    pub fn half_turn(&mut self, about: HalfTurn) {
+        let signs = match about {
+            HalfTurn::X => Vec3::new(1.0, -1.0, -1.0),
+            HalfTurn::Z => Vec3::new(-1.0, -1.0, 1.0),
+        };
         for position in &mut self.positions {
-            *position = Vec3::new(position.x, -position.y, -position.z);
+            *position *= signs;
         }
         for rotation in &mut self.rotations {
-            *rotation = Quat::from_xyzw(rotation.x, -rotation.y, -rotation.z, rotation.w);
+            *rotation = Quat::from_vec4((rotation.xyz() * signs).extend(rotation.w));
         }
-        sh::turn_about_x(self.sh_degree.min(3), &mut self.sh);
+        sh::half_turn(about, self.sh_degree.min(3), &mut self.sh);
     }
 
     /// Checks that the lists have matching lengths; `set` names the set in the error.

@@ -38,7 +38,7 @@ pub use files::{
     write_gaussians, write_ply,
 };
 pub use frame::{Frame, Outputs, Statistics};
-pub use gaussians::Gaussians;
+pub use gaussians::{Gaussians, HalfTurn};
 pub use gradients::{CameraGradient, FrameGradients, GaussianGradients};
 pub use options::{Next, Options, Sorting};
 pub use rasterizer::{Rasterizer, Rendering};

@@ -1,5 +1,7 @@
 use glam::{DMat3, DVec3};
 
+use crate::HalfTurn;
+
 // Factors of the basis functions.
 const C1: f64 = 0.488_602_511_902_919_9; // sqrt(3 / pi) / 2
 const C2: f64 = 1.092_548_430_592_079_2; // sqrt(15 / pi) / 2
@@ -94,9 +96,16 @@ pub(crate) fn rotate(degree: usize, sh: &mut [[f32; 3]], rotation: DMat3) {
     }
 }
 
-/// Turns coefficients by 180 degrees about the x axis, exactly: those of functions that are odd in y and z together change their sign.
-pub(crate) fn turn_about_x(degree: usize, sh: &mut [[f32; 3]]) {
-    change_signs(degree, sh, &[1, 2, 4, 7, 9, 11, 12, 14]);
+/// Turns coefficients by 180 degrees, exactly: those of functions that are odd in the two other axes together change their sign.
+pub(crate) fn half_turn(about: HalfTurn, degree: usize, sh: &mut [[f32; 3]]) {
+    change_signs(
+        degree,
+        sh,
+        match about {
+            HalfTurn::X => &[1, 2, 4, 7, 9, 11, 12, 14],
+            HalfTurn::Z => &[1, 3, 5, 7, 9, 11, 13, 15],
+        },
+    );
 }
 
 /// Mirrors coefficients along the z axis, exactly: those of functions that are odd in z change their sign.
@@ -256,16 +265,17 @@ mod tests {
             let part = |i: usize| libm::sinf(i as f32 * 1.7 + degree as f32);
             (0..2 * coefficients(degree)).map(|i| [part(3 * i), part(3 * i + 1), part(3 * i + 2)]).collect()
         };
-        let about_x = DMat3::from_rotation_x(std::f64::consts::PI);
+        let [about_x, about_z] =
+            [DVec3::X, DVec3::Z].map(|axis| DMat3::from_axis_angle(axis, std::f64::consts::PI));
         let any = DMat3::from_quat(glam::DQuat::from_xyzw(0.1, -0.7, 0.3, 0.6).normalize());
         let seen = DVec3::new(0.4, -0.3, 0.8).normalize();
         for degree in 0..=3 {
-            for (rotation, exact) in [(any, false), (about_x, false), (about_x, true)] {
+            for (rotation, exact) in [(any, None), (about_x, Some(HalfTurn::X)), (about_z, Some(HalfTurn::Z))]
+            {
                 let (old, mut new) = (degrees(degree), degrees(degree));
-                if exact {
-                    turn_about_x(degree, &mut new)
-                } else {
-                    rotate(degree, &mut new, rotation)
+                match exact {
+                    Some(about) => half_turn(about, degree, &mut new),
+                    None => rotate(degree, &mut new, rotation),
                 }
                 let count = coefficients(degree);
                 for (old, new) in old.chunks_exact(count).zip(new.chunks_exact(count)) {

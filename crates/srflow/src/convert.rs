@@ -22,9 +22,9 @@ use crate::{Job, Report, Watch};
 /// pixels).
 ///
 /// 3D Gaussians: both formats from the extension: .ply, .splat, .spz or .glb; .ksplat and .sog are read only. What is upright
-/// in IN is upright in OUT: between formats with another direction of up they are turned by 180 degrees about the
-/// x axis. docs/guides/rasterize.md lists what each format keeps. `srflow avatar export` writes the Gaussians of a
-/// head.
+/// in IN is upright in OUT: between formats with another direction of up they are turned by 180 degrees: about the x axis
+/// for .spz, as Niantic's library does, else about the z axis, as splat-transform does. docs/guides/rasterize.md lists what each
+/// format keeps. `srflow avatar export` writes the Gaussians of a head.
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "Examples:
   srflow convert flow.flo5 flow.flo
@@ -125,8 +125,9 @@ impl ConvertJob {
     fn convert_gaussians(&self, from: &SplatFormat, to: &SplatFormat) -> anyhow::Result<GaussiansWritten> {
         ensure_free([&self.output], self.force)?;
         let mut gaussians = read_gaussians(&self.input)?;
-        if from.up.unwrap_or(self.ply_up) != to.up.unwrap_or(self.ply_up) {
-            gaussians.turn_about_x();
+        let [up, to_up] = [from, to].map(|format| format.up.unwrap_or(self.ply_up));
+        if let Some(turn) = from.turn_to(up, to, to_up) {
+            gaussians.half_turn(turn);
         }
         write_gaussians(&self.output, &gaussians)
             .with_context(|| format!("converting {}", self.input.display()))?;

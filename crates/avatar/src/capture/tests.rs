@@ -420,6 +420,8 @@ fn tables_of_openface_and_mediapipe_are_read() {
         assert!(read(text).expect("OpenFace") == landmarks, "{text}");
     }
     // MediaPipe's points in pixels, and rows that pandas numbers by fractions.
+    let from_zero = read(&table("frame", &[("0", 3.0), ("1", 4.0)], 68, 1.0)).expect("srflow face");
+    assert_eq!(from_zero.get(1, 3).and_then(|face| face[0]), Some([4.0, 0.0]));
     let pixels = read(&table("frame", &[("7.0", 10.0)], 478, 1.0)).expect("pixels");
     assert_eq!(pixels.get(7, 3).and_then(|face| face[30]), Some([14.0, 8.0]));
 
@@ -433,7 +435,7 @@ fn tables_of_openface_and_mediapipe_are_read() {
     fault("left_eye_x,left_eye_y,right_eye_x,right_eye_y\n1,2,31,2\n", "the eyes alone");
     fault(&table("frame", &[], 67, 1.0), "67 of x and 67 of y");
     fault(&table("frame", &[("1", 0.0), ("x\u{1b}[31m", 0.0)], 68, 1.0), "x\\u{1b}[31m in line 3");
-    fault(&table("frame", &[("0", 0.0)], 68, 1.0), "line 2 counts to -1");
+    fault(&table("frame", &[("-1", 0.0)], 68, 1.0), "line 2 counts to -2");
     fault(&table("frame", &[("1.5", 0.0)], 468, 1.0), "line 2 counts to 1.5");
     fault(&(table("frame", &[("1", 0.0)], 68, 1.0) + "2,1,1\n"), "3 in line 3");
 }

@@ -9,6 +9,7 @@
 
 mod arrow;
 mod gaze;
+mod hidden;
 mod initial;
 mod pictures;
 mod priors;
@@ -20,6 +21,7 @@ mod tests;
 use srflow_files::FileError;
 use srflow_splat::Camera;
 
+pub use hidden::HiddenView;
 pub use pictures::{PictureFit, ReadPicture};
 pub use priors::Priors;
 pub use report::{CameraFit, FitReport, Reach, ViewFit};

@@ -19,6 +19,7 @@ use srflow_head::{HeadModel, HeadPoints, Region, ShapedHead, vertex_normals};
 use srflow_splat::Camera;
 
 use super::LandmarkView;
+use super::hidden::{Differences, HiddenView};
 use super::problem::{EYE_CORNERS, Heads, Problem, Projection, Terms, Window};
 use crate::visible_surface;
 
@@ -26,7 +27,7 @@ use crate::visible_surface;
 pub type ReadPicture<'a> = &'a (dyn Fn(&LandmarkView) -> Result<Image, FileError> + Sync);
 
 /// How well the pictures agree with each other.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PictureFit {
     /// Points of the skin.
     pub points: usize,
@@ -36,6 +37,8 @@ pub struct PictureFit {
     pub noise: f64,
     /// Timesteps in which the irises were found. In the others, the eyes turn as in their neighbours.
     pub gazes: usize,
+    /// Pictures in which something hides the face, and which take no part; `None` if the colours of the face change too much to tell.
+    pub hidden: Option<Vec<HiddenView>>,
 }
 
 /// Pixels between the outer corners of the eyes at each level.
@@ -90,7 +93,7 @@ type Expected = Vec<Option<[f64; 3]>>;
 
 pub(super) struct Pictures {
     /// Vertices of the model.
-    vertices: Vec<u32>,
+    pub vertices: Vec<u32>,
     points: HeadPoints,
     /// Of each view of each timestep, at the finest level; `None` where the face is not in the picture.
     finest: Vec<Vec<Option<Patch>>>,
@@ -99,7 +102,8 @@ pub(super) struct Pictures {
     /// Those of this level.
     patches: Vec<Vec<Option<Patch>>>,
     expected: Vec<Vec<Expected>>,
-    noise: f64,
+    /// Standard deviation of the levels from what is expected.
+    pub noise: f64,
 }
 
 /// A point in a picture.
@@ -303,6 +307,30 @@ impl Pictures {
             }
         }
         observations
+    }
+
+    /// The levels of the points less what was to be seen, of each timestep and view with a picture.
+    pub fn differences(&self, heads: &Heads) -> Vec<([usize; 2], Differences)> {
+        let of_timestep = |(timestep, views): (usize, &Vec<Expected>)| {
+            let positions = self.points.positions(heads.state(timestep));
+            let of_view = |(view, expected): (usize, &Expected)| {
+                let patch = self.patches[timestep][view].as_ref()?;
+                let of_point = |(position, expected): (&DVec3, &Option<[f64; 3]>)| {
+                    let (levels, _) = patch.sample(patch.camera.project(*position)?.0)?;
+                    expected
+                        .map(|expected| std::array::from_fn(|channel| levels[channel] - expected[channel]))
+                };
+                Some(([timestep, view], positions.iter().zip(expected).map(of_point).collect()))
+            };
+            views.iter().enumerate().filter_map(of_view).collect::<Vec<_>>()
+        };
+        self.expected.par_iter().enumerate().flat_map_iter(of_timestep).collect()
+    }
+
+    /// Takes a picture out.
+    pub fn remove(&mut self, timestep: usize, view: usize) {
+        self.finest[timestep][view] = None;
+        self.patches[timestep][view] = None;
     }
 
     /// Adds the pictures of a timestep to the terms of its own parameters.
@@ -548,6 +576,7 @@ impl Problem<'_> {
         let [.., finest] = LEVELS;
         pictures.look(self, heads, finest);
         let before = pictures.noise;
+        let hidden = pictures.leave_out_hidden(self, heads);
         let rounds = LEVELS.iter().flat_map(|level| [*level; ROUNDS]);
         for (done, level) in rounds.enumerate() {
             progress(done, LEVELS.len() * ROUNDS);
@@ -556,6 +585,7 @@ impl Problem<'_> {
         }
         pictures.look(self, heads, finest);
         let gazes = self.turn_eyes(heads, &pictures);
-        Ok(PictureFit { points: pictures.points.len(), noise_before: before, noise: pictures.noise, gazes })
+        let (points, noise) = (pictures.points.len(), pictures.noise);
+        Ok(PictureFit { points, noise_before: before, noise, gazes, hidden })
     }
 }

@@ -155,7 +155,7 @@ fn a_head_is_exported_with_its_mesh_cameras_and_motion() {
     assert!(smile.positions != gaussians.positions && smile.len() == gaussians.len());
     succeeds(&export(&["--ply-up", "-y", "--action-units", "12=0.8", "-o", "smile.ply"]));
     let mut turned = read_gaussians(&folder.path().join("smile.ply")).unwrap();
-    turned.turn_about_x();
+    turned.half_turn(srflow_splat::HalfTurn::Z);
     assert_eq!(turned.positions, smile.positions);
 
     for (arguments, code, parts) in [

@@ -15,7 +15,7 @@ use std::str::FromStr;
 use glam::{DMat3, DMat4, DQuat, Quat, Vec3};
 use srflow_files::{FileError, FileProblem};
 
-use crate::{Gaussians, sh};
+use crate::{Gaussians, HalfTurn, sh};
 
 pub use ply::{parse_ply, read_bound_ply, read_ply, write_bound_ply, write_ply};
 
@@ -28,6 +28,8 @@ pub struct SplatFormat {
     pub extension: &'static str,
     /// The direction that is up in its files; `None` where the format leaves it to the scene.
     pub up: Option<Up>,
+    /// How programs turn its files to others in which down is up.
+    half_turn: HalfTurn,
     /// Whether the Gaussians keep their order, so that those of two files correspond.
     pub keeps_order: bool,
     /// What is lost on writing, for a note; `None` where every value is kept.
@@ -75,6 +77,7 @@ pub static SPLAT_FORMATS: [SplatFormat; 6] = [
     SplatFormat {
         extension: "ply",
         up: None,
+        half_turn: HalfTurn::Z,
         keeps_order: true,
         loses: None,
         read: ply::read_ply,
@@ -83,6 +86,7 @@ pub static SPLAT_FORMATS: [SplatFormat; 6] = [
     SplatFormat {
         extension: "splat",
         up: Some(Up::MinusY),
+        half_turn: HalfTurn::Z,
         keeps_order: false,
         loses: Some(
             "the order of the Gaussians, spherical harmonics above degree 0 and whether they are antialiased; \
@@ -94,6 +98,7 @@ pub static SPLAT_FORMATS: [SplatFormat; 6] = [
     SplatFormat {
         extension: "spz",
         up: Some(Up::PlusY),
+        half_turn: HalfTurn::X,
         keeps_order: true,
         loses: Some("precision: scales are rounded to steps of 6 %, spherical harmonics to 4 or 5 bits"),
         read: spz::read,
@@ -102,6 +107,7 @@ pub static SPLAT_FORMATS: [SplatFormat; 6] = [
     SplatFormat {
         extension: "glb",
         up: Some(Up::PlusY),
+        half_turn: HalfTurn::Z,
         keeps_order: true,
         loses: None,
         read: glb::read,
@@ -110,12 +116,21 @@ pub static SPLAT_FORMATS: [SplatFormat; 6] = [
     SplatFormat {
         extension: "ksplat",
         up: None,
+        half_turn: HalfTurn::Z,
         keeps_order: false,
         loses: None,
         read: ksplat::read,
         write: None,
     },
-    SplatFormat { extension: "sog", up: None, keeps_order: false, loses: None, read: sog::read, write: None },
+    SplatFormat {
+        extension: "sog",
+        up: None,
+        half_turn: HalfTurn::Z,
+        keeps_order: false,
+        loses: None,
+        read: sog::read,
+        write: None,
+    },
 ];
 
 impl SplatFormat {
@@ -123,6 +138,16 @@ impl SplatFormat {
     pub fn of(path: &Path) -> Option<&'static Self> {
         let extension = path.extension().and_then(OsStr::to_str)?;
         SPLAT_FORMATS.iter().find(|format| format.extension.eq_ignore_ascii_case(extension))
+    }
+
+    /// The turn that keeps Gaussians upright between this format, in which `up` is up, and another. It is that of the format with +y up:
+    /// splat-transform turns `.ply` to `.glb` about z (`Transform.PLY`), and Niantic's library to `.spz` about x.
+    pub fn turn_to(&self, up: Up, to: &Self, to_up: Up) -> Option<HalfTurn> {
+        match (up, to_up) {
+            (Up::PlusY, Up::MinusY) => Some(self.half_turn),
+            (Up::MinusY, Up::PlusY) => Some(to.half_turn),
+            _ => None,
+        }
     }
 
     /// Whether it is also written.

@@ -8,7 +8,7 @@ use srflow_avatar::PosedHead;
 use srflow_core::Size;
 use srflow_head::{HeadPose, MeshMotion, add_mesh};
 use srflow_splat::gltf::GltfBuilder;
-use srflow_splat::{Gaussians, NamedCamera, SplatFormat, Up, read_cameras, write_gaussians};
+use srflow_splat::{Gaussians, HalfTurn, NamedCamera, SplatFormat, Up, read_cameras, write_gaussians};
 
 use crate::clap::Args;
 use crate::convert::GaussiansWritten;
@@ -99,7 +99,7 @@ impl Job for ExportJob {
                 .with_context(|| format!("writing {output}"))?;
         } else {
             if format.up.unwrap_or(self.ply_up) == Up::MinusY {
-                gaussians.turn_about_x();
+                gaussians.half_turn(HalfTurn::Z);
             }
             write_gaussians(&self.output, &gaussians)?;
         }

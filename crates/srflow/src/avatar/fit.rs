@@ -1,5 +1,6 @@
 //! Fitting a head model to landmarks.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -225,10 +226,13 @@ impl Job for FitJob {
             });
         })?;
 
+        let hidden = fitted.report.pictures.iter().flat_map(|pictures| pictures.hidden.iter().flatten());
+        let hidden: BTreeSet<(u32, u32)> = hidden.map(|view| (view.timestep, view.camera_index)).collect();
         create_folder(&self.out)?;
         let up = from_to(&self.out, capture.dir())?;
         let views: Vec<CaptureView> = used
             .into_iter()
+            .filter(|view| !hidden.contains(&(view.timestep, view.camera_index)))
             .map(|view| CaptureView {
                 image: up.join(&view.image),
                 mask: view.mask.as_ref().map(|mask| up.join(mask)),
@@ -362,18 +366,27 @@ impl fmt::Display for Fitted {
             writeln!(f, "Without landmarks, following from their neighbours: timesteps {}", listed(&names))?;
         }
         if !report.suspect_views.is_empty() {
-            let names = report
-                .suspect_views
-                .iter()
-                .map(|view| format!("{:05}_{:02}", view.timestep, view.camera_index));
+            let names =
+                report.suspect_views.iter().map(|view| picture_name(view.timestep, view.camera_index));
             writeln!(f, "Most landmarks are outliers in pictures {}", listed(&names.collect::<Vec<_>>()))?;
         }
-        if let Some(PictureFit { points, noise_before, noise, gazes }) = report.pictures {
+        if let Some(PictureFit { points, noise_before, noise, gazes, hidden }) = &report.pictures {
             let [before, after] = [noise_before, noise].map(|noise| 100.0 * noise);
             writeln!(
                 f,
                 "Colours of {points} points of the skin differ by {after:.1} %, {before:.1} % by the landmarks alone; irises found at {gazes} of {timesteps} timesteps"
             )?;
+            if hidden.is_none() {
+                writeln!(
+                    f,
+                    "Its colours change too much along the timesteps to tell where something hides the face."
+                )?;
+            }
+            if let Some(hidden) = hidden.as_ref().filter(|hidden| !hidden.is_empty()) {
+                let names = hidden.iter().map(|view| picture_name(view.timestep, view.camera_index));
+                let names = listed(&names.collect::<Vec<_>>());
+                writeln!(f, "Left out, since something hides the face: pictures {names}")?;
+            }
         }
         write_reach(f, &report.reach, self.eye_distance)?;
         if let Some(error) = &self.mesh_error {
@@ -430,6 +443,10 @@ fn write_reach(f: &mut fmt::Formatter, reach: &Reach, eye_distance: Option<f64>)
         }
     }
     Ok(())
+}
+
+fn picture_name(timestep: u32, camera: u32) -> String {
+    format!("{timestep:05}_{camera:02}")
 }
 
 fn listed(names: &[String]) -> String {

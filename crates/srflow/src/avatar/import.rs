@@ -138,7 +138,7 @@ impl ImportJob {
         let Some(captured) = self.video.capture(&self.pictures, &self.out, &models, watch)? else {
             return Ok(ImportReport::stopped(self));
         };
-        let CapturedVideo { mut views, hidden, focal, focal_source, .. } = captured;
+        let CapturedVideo { mut views, focal, focal_source, .. } = captured;
         let person = PersonMask::read(&models).map_err(|error| log::warn!("{error}: there are no masks"));
         match &person {
             Ok(person) => {
@@ -155,7 +155,7 @@ impl ImportJob {
         }
         write_transforms(&self.out, &views)?;
         let imported = Imported { cameras: vec![(0, "the video".to_owned())], views, ..Imported::default() };
-        Ok(ImportReport { focal: Some((focal, focal_source)), hidden, ..ImportReport::new(self, imported) })
+        Ok(ImportReport { focal: Some((focal, focal_source)), ..ImportReport::new(self, imported) })
     }
 }
 
@@ -181,8 +181,6 @@ pub struct ImportReport {
     pub without_mask: usize,
     /// Of a video: focal length in pixels, and where it is from.
     pub focal: Option<(f64, FocalSource)>,
-    /// Of a video: frames that were left out, since something hides the face.
-    pub hidden: usize,
     /// Whether it was stopped before the lists were written.
     pub stopped: bool,
     /// Numbers and names, in the order of the numbers.
@@ -214,7 +212,6 @@ impl ImportReport {
             val,
             without_mask,
             focal: None,
-            hidden: 0,
             stopped: false,
             numbered: cameras,
             file_of_cameras: job.cameras.clone().unwrap_or_default(),
@@ -255,9 +252,6 @@ impl fmt::Display for ImportReport {
         }
         if let Some((focal, source)) = self.focal {
             writeln!(f, "Focal length: {}", focal_text(focal, source))?;
-        }
-        if self.hidden > 0 {
-            writeln!(f, "Left out, since something hides the face: {} frames", self.hidden)?;
         }
         if !self.unknown_cameras.is_empty() {
             let (file, names) = (self.file_of_cameras.display(), listed(&self.unknown_cameras));

@@ -12,8 +12,8 @@ impl Landmarks {
     /// Adds the landmarks of one camera from a [`PointTable`] with a row for each frame: dlib's 68 in pixels, as OpenFace writes them
     /// (`FeatureExtraction -2Dfp`), or MediaPipe's 468 or 478, in pixels or as shares of the picture's width and height.
     ///
-    /// `frame` counts from 1 as OpenFace does if there are 68 landmarks, else from 0, and gives the timestep; without it rows are
-    /// counted. A frame whose row has no face is missing, and so is a landmark without a coordinate. Of several faces in a frame the one
+    /// `frame` gives the timestep; without it rows are counted. It counts from 0, but from 1 in a table of 68 landmarks without a frame 0,
+    /// as OpenFace does. A frame whose row has no face is missing, and so is a landmark without a coordinate. Of several faces in a frame the one
     /// of highest `confidence` is taken, else the first.
     ///
     /// # Errors
@@ -26,8 +26,10 @@ impl Landmarks {
     ) -> Result<(), FileError> {
         let table = PointTable::read(path, &[], &["frame"])?;
         let in_file = |problem| FileError { path: path.to_owned(), problem };
+        let is_zero = |cell: &String| cell.parse::<f64>().is_ok_and(|frame| frame == 0.0);
+        let has_zero = || table.rows.iter().any(|row| row.keys.first().is_some_and(is_zero));
         let first_frame = match table.set {
-            PointSet::Dlib => 1,
+            PointSet::Dlib => u8::from(!has_zero()),
             PointSet::MediaPipe => 0,
             PointSet::Eyes => {
                 let expected = "the 68 landmarks of OpenFace or the 468 or 478 of MediaPipe";

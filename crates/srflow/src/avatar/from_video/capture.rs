@@ -61,8 +61,6 @@ pub struct CapturedVideo {
     pub views: Vec<CaptureView>,
     /// Frames of the video.
     pub frames: u64,
-    /// Frames that were left out, since something hides the face.
-    pub hidden: usize,
     /// Pixels.
     pub focal: f64,
     pub focal_source: FocalSource,
@@ -119,7 +117,7 @@ impl VideoArgs {
         frames.landmarks.write(&out.join(LANDMARKS_NAME))?;
         let (focal, focal_source) = self.focal_length(frames.size, facts.focal_length_35mm);
         let views = views(&frames, focal);
-        Ok(Some(CapturedVideo { views, frames: frames.of, hidden: frames.hidden, focal, focal_source }))
+        Ok(Some(CapturedVideo { views, frames: frames.of, focal, focal_source }))
     }
 
     /// In pixels, for frames of this size; `recorded` in the format of 35 mm film, millimetres.

@@ -1,16 +1,15 @@
-//! The frames of a video that an avatar is learned from: spread over the video, sharp, with a face that nothing hides.
+//! The frames of a video that an avatar is learned from: spread over the video, sharp, with a face.
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail};
+use anyhow::bail;
 use srflow_avatar::capture::Landmarks;
 use srflow_core::{Image, Size, luminance};
 use srflow_face::{FaceBox, FaceFinder};
 use srflow_files::{create_folder, write_atomically, write_image_png};
 
 use super::VideoArgs;
-use super::hidden::{FaceColours, hidden};
 use crate::Watch;
 use crate::face::FoundTrack;
 use crate::video::VideoReader;
@@ -38,9 +37,6 @@ pub struct Frames {
     pub landmarks: Landmarks,
     /// Frames of the video.
     pub of: u64,
-    /// Frames that were left out, since something hides the face.
-    pub hidden: usize,
-    colours: Vec<FaceColours>,
 }
 
 /// The path of a timestep's picture below the folder of the capture.
@@ -78,14 +74,8 @@ pub fn choose(
     let progress = watch.count("frames", of);
     let mut reader = VideoReader::open(video)?;
     let mut track = FoundTrack::new(finder, settings.face_index.map(usize::from));
-    let mut frames = Frames {
-        size: Size::default(),
-        numbers: Vec::new(),
-        landmarks: Landmarks::default(),
-        of,
-        hidden: 0,
-        colours: Vec::new(),
-    };
+    let mut frames =
+        Frames { size: Size::default(), numbers: Vec::new(), landmarks: Landmarks::default(), of };
     let mut best: Option<Candidate> = None;
     let (mut number, mut looked_at) = (0, 0);
     while let Some(image) = reader.next_frame()? {
@@ -121,10 +111,9 @@ pub fn choose(
     }
     frames.keep(best, dir)?;
     frames.of = number;
-    frames.leave_out_hidden(dir)?;
     if frames.numbers.len() < FEWEST {
         bail!(
-            "{}: expected a face that nothing hides in at least {FEWEST} of the frames that an avatar is learned from, found one in {} of {looked_at} frames \
+            "{}: expected a face in at least {FEWEST} of the frames that an avatar is learned from, found one in {} of {looked_at} frames \
              that were looked at; is it large and facing the camera?",
             video.display(),
             frames.numbers.len()
@@ -149,35 +138,6 @@ impl Frames {
         write_image_png(&dir.join(image_name(timestep)), &image)?;
         self.landmarks.insert(timestep, CAMERA, dlib.map(Some));
         self.numbers.push(number);
-        self.colours.push(FaceColours::of(&image, &face));
-        Ok(())
-    }
-
-    /// Deletes the pictures in which something hides the face, and numbers the others anew.
-    fn leave_out_hidden(&mut self, dir: &Path) -> anyhow::Result<()> {
-        let hidden = hidden(&self.colours);
-        let count = hidden.iter().filter(|hidden| **hidden).count();
-        if 2 * count > hidden.len() {
-            log::warn!(
-                "the colours of the face change so much along the video that it is unknown where something hides it"
-            );
-            return Ok(());
-        }
-        let picture = |timestep: usize| dir.join(image_name(timestep as u32));
-        let (mut landmarks, mut numbers) = (Landmarks::default(), Vec::new());
-        for (timestep, hidden) in hidden.iter().enumerate() {
-            let from = picture(timestep);
-            let moved = match (hidden, self.landmarks.get(timestep as u32, CAMERA)) {
-                (false, Some(face)) => {
-                    landmarks.insert(numbers.len() as u32, CAMERA, *face);
-                    numbers.push(self.numbers[timestep]);
-                    std::fs::rename(&from, picture(numbers.len() - 1))
-                }
-                _ => std::fs::remove_file(&from),
-            };
-            moved.with_context(|| from.display().to_string())?;
-        }
-        (self.landmarks, self.numbers, self.hidden) = (landmarks, numbers, count);
         Ok(())
     }
 }

@@ -2,7 +2,6 @@
 
 mod capture;
 mod frames;
-mod hidden;
 mod hull;
 mod masks;
 mod motion;
@@ -107,9 +106,6 @@ struct VideoRecord {
     frames: u64,
     /// Those that were chosen.
     chosen: usize,
-    /// Those that were chosen but left out, since something hides the face.
-    #[serde(default)]
-    hidden: usize,
     /// Pixels.
     focal: f64,
     focal_source: FocalSource,
@@ -134,13 +130,13 @@ impl Job for FromVideoJob {
             },
         };
         made.frames = record.chosen;
-        made.hidden = record.hidden;
         made.focal = Some((record.focal, record.focal_source));
         if watch.stops() {
             return Ok(made);
         }
         self.fit(watch)?;
         let head = FittedHead::read(&self.out.join(HEAD), &self.model)?;
+        made.hidden = head.hidden();
         if !self.masks(&head, &models, watch)? {
             return Ok(made);
         }
@@ -157,7 +153,7 @@ impl Job for FromVideoJob {
             made.face_psnr = face.as_ref().map(|face| face.psnr);
             made.motion = motion_scores(posed, &head.capture, &landmarks, watch)?;
             let scores = (face.as_ref(), made.motion.as_ref());
-            let page = page::page(&self.video, &self.out, &record, &head, &trained, scores)?;
+            let page = page::page(&self.video, &record, &head, &trained, scores)?;
             write_file(&self.out.join(REPORT_NAME), page.html())?;
             made.avatar.clone_from(&trained.avatar);
             made.report = Some(self.out.join(REPORT_NAME));
@@ -229,8 +225,8 @@ impl FromVideoJob {
             return Ok(None);
         };
         write_transforms(&self.out, &captured.views)?;
-        let CapturedVideo { views, frames, hidden, focal, focal_source } = captured;
-        let record = VideoRecord { settings, frames, chosen: views.len(), hidden, focal, focal_source };
+        let CapturedVideo { views, frames, focal, focal_source } = captured;
+        let record = VideoRecord { settings, frames, chosen: views.len(), focal, focal_source };
         write_file(&self.out.join(VIDEO_NAME), serde_json::to_string_pretty(&record)? + "\n")?;
         Ok(Some(record))
     }
@@ -284,6 +280,8 @@ impl FromVideoJob {
 /// The fitted head in each frame.
 struct FittedHead {
     capture: Capture,
+    /// The contents of `fit.json`.
+    report: Value,
     model: HeadModel,
     shaped: ShapedHead,
     poses: Vec<PoseParameters>,
@@ -292,9 +290,17 @@ struct FittedHead {
 impl FittedHead {
     fn read(dir: &Path, model: &HeadSource) -> anyhow::Result<Self> {
         let capture = Capture::read(dir)?;
+        let path = dir.join(FIT_NAME);
+        let report = serde_json::from_str(&read_text(&path, FileKind::Json)?)
+            .map_err(|error| anyhow::anyhow!("{}: {}", path.display(), parse_error_in_words(&error)))?;
         let model = model.model(super::mesh::default_seed())?;
         let HeadParameters { shape, poses, .. } = capture.parameters()?;
-        Ok(Self { shaped: model.shaped(&shape), capture, model, poses })
+        Ok(Self { shaped: model.shaped(&shape), capture, report, model, poses })
+    }
+
+    /// Frames that were left out, since something hides the face.
+    fn hidden(&self) -> usize {
+        self.report.pointer("/pictures/hidden").and_then(Value::as_array).map_or(0, Vec::len)
     }
 
     /// See [`shading`]; at this place among the views.
@@ -319,7 +325,7 @@ pub struct AvatarOfVideo {
     pub motion: Option<MotionScores>,
     /// Frames that were chosen.
     pub frames: usize,
-    /// Frames that were left out, since something hides the face.
+    /// Those of them that were left out, since something hides the face.
     pub hidden: usize,
     pub out: PathBuf,
     /// The report as a page, once the run is complete.
@@ -358,7 +364,7 @@ impl fmt::Display for AvatarOfVideo {
         if let Some((focal, source)) = self.focal {
             let hidden = match self.hidden {
                 0 => String::new(),
-                hidden => format!(" ({hidden} more show something before the face)"),
+                hidden => format!(" (left out, since something hides the face: {hidden})"),
             };
             writeln!(f, "{} frames{hidden}, focal length {}", self.frames, focal_text(focal, source))?;
         }

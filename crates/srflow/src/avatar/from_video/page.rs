@@ -5,14 +5,13 @@ use std::path::Path;
 use glam::{EulerRot, Quat};
 use serde_json::Value;
 use srflow_core::{Image, Plane};
-use srflow_files::{FileKind, read_text};
 use srflow_head::PoseParameters;
 use srflow_report::html::{Film, Page, Section, facts, films, tiles};
 use srflow_report::shrink_image;
 
 use super::motion::MotionScores;
 use super::scores::FaceScores;
-use super::{FIT_NAME, FittedHead, HEAD, VideoRecord, focal_text};
+use super::{FittedHead, VideoRecord, focal_text};
 use crate::avatar::mesh_picture::overlay;
 use crate::avatar::train::TrainedAvatar;
 use crate::machine;
@@ -35,14 +34,12 @@ const WIDE_JAW: f32 = 6.0;
 /// When a file of the run cannot be read, or a picture cannot be encoded.
 pub fn page(
     video: &Path,
-    out: &Path,
     record: &VideoRecord,
     head: &FittedHead,
     trained: &TrainedAvatar,
     (face, motion): (Option<&FaceScores>, Option<&MotionScores>),
 ) -> anyhow::Result<Page> {
-    let FittedHead { capture, poses, .. } = head;
-    let fit: Value = serde_json::from_str(&read_text(&out.join(HEAD).join(FIT_NAME), FileKind::Json)?)?;
+    let FittedHead { capture, poses, report: fit, .. } = head;
     let shown: Vec<usize> = (0..poses.len()).step_by(poses.len().div_ceil(FRAMES).max(1)).collect();
     let mut overlays = Vec::new();
     let mut cut_out = Vec::new();
@@ -93,11 +90,9 @@ pub fn page(
     }
     let reach = Motion::of(poses);
     known.extend(reach.facts());
-    if record.hidden > 0 {
-        known.push((
-            "left out, since something hides the face".to_owned(),
-            format!("{} frames", record.hidden),
-        ));
+    if head.hidden() > 0 {
+        let text = format!("{} frames", head.hidden());
+        known.push(("left out, since something hides the face".to_owned(), text));
     }
     let mut numbers = vec![
         (record.chosen.to_string(), format!("of {} frames", record.frames)),

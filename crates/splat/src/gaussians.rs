@@ -54,9 +54,9 @@ impl Gaussians {
     /// Turns the world by 180 degrees, exactly: two coordinates change their signs, and with them rotations and spherical
     /// harmonics. What was upright where -y is up (OpenCV's axes) is upright where +y is (glTF's), and the reverse.
     pub fn half_turn(&mut self, about: HalfTurn) {
-        let signs = match about {
-            HalfTurn::X => Vec3::new(1.0, -1.0, -1.0),
-            HalfTurn::Z => Vec3::new(-1.0, -1.0, 1.0),
+        let (signs, turn): (Vec3, fn(usize, &mut [[f32; 3]])) = match about {
+            HalfTurn::X => (Vec3::new(1.0, -1.0, -1.0), sh::turn_about_x),
+            HalfTurn::Z => (Vec3::new(-1.0, -1.0, 1.0), sh::turn_about_z),
         };
         for position in &mut self.positions {
             *position *= signs;
@@ -64,7 +64,7 @@ impl Gaussians {
         for rotation in &mut self.rotations {
             *rotation = Quat::from_vec4((rotation.xyz() * signs).extend(rotation.w));
         }
-        sh::half_turn(about, self.sh_degree.min(3), &mut self.sh);
+        turn(self.sh_degree.min(3), &mut self.sh);
     }
 
     /// Checks that the lists have matching lengths; `set` names the set in the error.

@@ -1,7 +1,5 @@
 use glam::{DMat3, DVec3};
 
-use crate::HalfTurn;
-
 // Factors of the basis functions.
 const C1: f64 = 0.488_602_511_902_919_9; // sqrt(3 / pi) / 2
 const C2: f64 = 1.092_548_430_592_079_2; // sqrt(15 / pi) / 2
@@ -96,16 +94,14 @@ pub(crate) fn rotate(degree: usize, sh: &mut [[f32; 3]], rotation: DMat3) {
     }
 }
 
-/// Turns coefficients by 180 degrees, exactly: those of functions that are odd in the two other axes together change their sign.
-pub(crate) fn half_turn(about: HalfTurn, degree: usize, sh: &mut [[f32; 3]]) {
-    change_signs(
-        degree,
-        sh,
-        match about {
-            HalfTurn::X => &[1, 2, 4, 7, 9, 11, 12, 14],
-            HalfTurn::Z => &[1, 3, 5, 7, 9, 11, 13, 15],
-        },
-    );
+/// Turns coefficients by 180 degrees about the x axis, exactly: those of functions that are odd in y and z together change their sign.
+pub(crate) fn turn_about_x(degree: usize, sh: &mut [[f32; 3]]) {
+    change_signs(degree, sh, &[1, 2, 4, 7, 9, 11, 12, 14]);
+}
+
+/// As [`turn_about_x`], about the z axis.
+pub(crate) fn turn_about_z(degree: usize, sh: &mut [[f32; 3]]) {
+    change_signs(degree, sh, &[1, 3, 5, 7, 9, 11, 13, 15]);
 }
 
 /// Mirrors coefficients along the z axis, exactly: those of functions that are odd in z change their sign.
@@ -270,13 +266,12 @@ mod tests {
         let any = DMat3::from_quat(glam::DQuat::from_xyzw(0.1, -0.7, 0.3, 0.6).normalize());
         let seen = DVec3::new(0.4, -0.3, 0.8).normalize();
         for degree in 0..=3 {
-            for (rotation, exact) in [(any, None), (about_x, Some(HalfTurn::X)), (about_z, Some(HalfTurn::Z))]
-            {
+            let rotate_any = |degree, sh: &mut [[f32; 3]]| rotate(degree, sh, any);
+            let turns: [(DMat3, &dyn Fn(usize, &mut [[f32; 3]])); 3] =
+                [(any, &rotate_any), (about_x, &turn_about_x), (about_z, &turn_about_z)];
+            for (rotation, turn) in turns {
                 let (old, mut new) = (degrees(degree), degrees(degree));
-                match exact {
-                    Some(about) => half_turn(about, degree, &mut new),
-                    None => rotate(degree, &mut new, rotation),
-                }
+                turn(degree, &mut new);
                 let count = coefficients(degree);
                 for (old, new) in old.chunks_exact(count).zip(new.chunks_exact(count)) {
                     let (old, new) = (color(degree, old, seen), color(degree, new, rotation * seen));

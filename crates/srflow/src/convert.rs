@@ -22,9 +22,9 @@ use crate::{Job, Report, Watch};
 /// pixels).
 ///
 /// 3D Gaussians: both formats from the extension: .ply, .splat, .spz or .glb; .ksplat and .sog are read only. What is upright
-/// in IN is upright in OUT: between formats with another direction of up they are turned by 180 degrees: about the x axis
-/// for .spz, as Niantic's library does, else about the z axis, as splat-transform does. docs/guides/rasterize.md lists what each
-/// format keeps. `srflow avatar export` writes the Gaussians of a head.
+/// in IN is upright in OUT: between formats with another direction of up they are turned by 180 degrees: about the z axis
+/// to or from a .glb, as splat-transform does, else about the x axis, as Niantic's library does for .spz. docs/guides/rasterize.md lists
+/// what each format keeps. `srflow avatar export` writes the Gaussians of a head.
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "Examples:
   srflow convert flow.flo5 flow.flo

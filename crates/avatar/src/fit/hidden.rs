@@ -2,18 +2,10 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
-use serde::Serialize;
 use srflow_core::median;
 
-use super::pictures::Pictures;
+use super::pictures::{Differences, HiddenView, Pictures};
 use super::problem::{Heads, Problem};
-
-/// A picture in which something hides the face.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct HiddenView {
-    pub timestep: u32,
-    pub camera_index: u32,
-}
 
 /// Points nearer than this are neighbours, in distances between the outer corners of the eyes. A shadow darkens them all, and the edge
 /// of a finger does not.
@@ -32,9 +24,6 @@ const UNLIKE: f64 = 0.1;
 
 /// A point must be visible in so many pictures.
 const FEWEST: usize = 8;
-
-/// Differences of the logarithms of three levels; `None` where a point is not to be seen.
-pub(super) type Differences = Vec<Option<[f64; 3]>>;
 
 impl Pictures {
     /// Leaves out the pictures in which something hides the face, at two timesteps after each other or more: the strongest moment of an

@@ -21,8 +21,7 @@ mod tests;
 use srflow_files::FileError;
 use srflow_splat::Camera;
 
-pub use hidden::HiddenView;
-pub use pictures::{PictureFit, ReadPicture};
+pub use pictures::{HiddenView, PictureFit, ReadPicture};
 pub use priors::Priors;
 pub use report::{CameraFit, FitReport, Reach, ViewFit};
 

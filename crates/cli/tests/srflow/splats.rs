@@ -65,7 +65,7 @@ fn convert_goes_round_the_formats_of_gaussians() {
 
     // A scene where -y is up, and back.
     succeeds(&run(folder.path(), &["convert", "a.ply", "b.glb", "--ply-up", "-y"]));
-    assert_eq!(read("b.glb").positions[0], Vec3::new(0.0, -0.3, -0.05));
+    assert_eq!(read("b.glb").positions[0], Vec3::new(0.0, -0.3, 0.05));
     succeeds(&run(folder.path(), &["convert", "b.glb", "b.ply", "--ply-up=-y"]));
     assert_eq!(read("b.ply").positions, original.positions);
     assert_eq!(read("b.ply").sh, original.sh);
@@ -155,7 +155,7 @@ fn a_head_is_exported_with_its_mesh_cameras_and_motion() {
     assert!(smile.positions != gaussians.positions && smile.len() == gaussians.len());
     succeeds(&export(&["--ply-up", "-y", "--action-units", "12=0.8", "-o", "smile.ply"]));
     let mut turned = read_gaussians(&folder.path().join("smile.ply")).unwrap();
-    turned.half_turn(srflow_splat::HalfTurn::Z);
+    turned.half_turn(srflow_splat::HalfTurn::X);
     assert_eq!(turned.positions, smile.positions);
 
     for (arguments, code, parts) in [

@@ -3,7 +3,7 @@
 mod mdmo;
 mod parts;
 
-use srflow_core::{named, serialize_as_text};
+use srflow_core::{ConvexHull, named, serialize_as_text};
 
 use crate::features::{Channel, FEATURE_SIDE, Features};
 
@@ -80,10 +80,10 @@ impl Regions {
         };
         let mut labels = vec![0; FEATURE_SIDE * FEATURE_SIDE].into_boxed_slice();
         for (region, number) in self.table().iter().zip(1..) {
-            let hull = hull(region.corners.iter().map(place).collect());
+            let hull = ConvexHull::of(region.corners.iter().map(place).collect());
             for (y, row) in labels.chunks_exact_mut(FEATURE_SIDE).enumerate() {
                 for (x, label) in row.iter_mut().enumerate() {
-                    if contains(&hull, [x as f64, y as f64]) {
+                    if hull.contains([x as f64, y as f64]) {
                         *label = number;
                     }
                 }
@@ -129,33 +129,4 @@ fn main_direction(flow: impl Iterator<Item = [f32; 2]>) -> [f32; 2] {
     let most = directions.iter().map(|(_, count)| *count).max().unwrap_or(0);
     let main = directions.iter().find(|(_, count)| *count == most && most > 0);
     main.map_or([0.0; 2], |(sum, count)| sum.map(|sum| (sum / *count as f64) as f32))
-}
-
-/// The corners of the convex hull, in order (Andrew's monotone chain).
-fn hull(mut points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
-    points.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
-    let chain = |points: &mut dyn Iterator<Item = [f64; 2]>| {
-        let mut chain: Vec<[f64; 2]> = Vec::new();
-        for point in points {
-            while chain.len() > 1 && turn(chain[chain.len() - 2], chain[chain.len() - 1], point) <= 0.0 {
-                chain.pop();
-            }
-            chain.push(point);
-        }
-        chain.pop();
-        chain
-    };
-    let mut hull = chain(&mut points.iter().copied());
-    hull.extend(chain(&mut points.iter().rev().copied()));
-    hull
-}
-
-/// Twice the area of a triangle, above 0 if its corners turn from right to down.
-fn turn(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
-    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-}
-
-fn contains(hull: &[[f64; 2]], point: [f64; 2]) -> bool {
-    let sides = hull.iter().zip(hull.iter().cycle().skip(1));
-    hull.len() > 2 && sides.into_iter().all(|(&a, &b)| turn(a, b, point) >= 0.0)
 }

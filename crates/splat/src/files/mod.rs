@@ -77,7 +77,7 @@ pub static SPLAT_FORMATS: [SplatFormat; 6] = [
     SplatFormat {
         extension: "ply",
         up: None,
-        half_turn: HalfTurn::Z,
+        half_turn: HalfTurn::X,
         keeps_order: true,
         loses: None,
         read: ply::read_ply,
@@ -86,7 +86,7 @@ pub static SPLAT_FORMATS: [SplatFormat; 6] = [
     SplatFormat {
         extension: "splat",
         up: Some(Up::MinusY),
-        half_turn: HalfTurn::Z,
+        half_turn: HalfTurn::X,
         keeps_order: false,
         loses: Some(
             "the order of the Gaussians, spherical harmonics above degree 0 and whether they are antialiased; \
@@ -116,7 +116,7 @@ pub static SPLAT_FORMATS: [SplatFormat; 6] = [
     SplatFormat {
         extension: "ksplat",
         up: None,
-        half_turn: HalfTurn::Z,
+        half_turn: HalfTurn::X,
         keeps_order: false,
         loses: None,
         read: ksplat::read,
@@ -125,7 +125,7 @@ pub static SPLAT_FORMATS: [SplatFormat; 6] = [
     SplatFormat {
         extension: "sog",
         up: None,
-        half_turn: HalfTurn::Z,
+        half_turn: HalfTurn::X,
         keeps_order: false,
         loses: None,
         read: sog::read,
@@ -141,7 +141,7 @@ impl SplatFormat {
     }
 
     /// The turn that keeps Gaussians upright between this format, in which `up` is up, and another. It is that of the format with +y up:
-    /// splat-transform turns `.ply` to `.glb` about z (`Transform.PLY`), and Niantic's library to `.spz` about x.
+    /// splat-transform turns `.ply` to `.glb` about z (`Transform.PLY`), Niantic's library to `.spz` about x.
     pub fn turn_to(&self, up: Up, to: &Self, to_up: Up) -> Option<HalfTurn> {
         match (up, to_up) {
             (Up::PlusY, Up::MinusY) => Some(self.half_turn),

@@ -99,7 +99,7 @@ impl Job for ExportJob {
                 .with_context(|| format!("writing {output}"))?;
         } else {
             if format.up.unwrap_or(self.ply_up) == Up::MinusY {
-                gaussians.half_turn(HalfTurn::Z);
+                gaussians.half_turn(HalfTurn::X);
             }
             write_gaussians(&self.output, &gaussians)?;
         }

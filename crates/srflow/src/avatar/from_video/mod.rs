@@ -2,7 +2,6 @@
 
 mod capture;
 mod frames;
-mod hull;
 mod masks;
 mod motion;
 mod page;

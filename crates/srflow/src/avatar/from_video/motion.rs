@@ -6,7 +6,7 @@ use srflow_core::{Tolerance, forward_backward_check, median};
 use srflow_head::HeadPose;
 use srflow_splat::{DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs};
 
-use super::hull::face_pixels;
+use super::scores::face_pixels;
 use crate::Watch;
 use crate::methods::{MethodParameters, MethodSpec, estimator};
 

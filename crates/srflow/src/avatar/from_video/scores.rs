@@ -3,12 +3,10 @@
 use std::path::Path;
 
 use srflow_avatar::Avatar;
-use srflow_avatar::capture::{Capture, CaptureSplit, Landmarks};
+use srflow_avatar::capture::{Capture, CaptureSplit, Face, Landmarks};
 use srflow_avatar::train::{Scorer, read_run};
-use srflow_core::Image;
+use srflow_core::{ConvexHull, Image, Size};
 use srflow_head::HeadPose;
-
-use super::hull::face_pixels;
 
 /// Of held-out frames.
 pub struct FaceScores {
@@ -52,6 +50,13 @@ pub fn face_scores(
     }
     let psnr = scores.iter().sum::<f64>() / scores.len() as f64;
     Ok((!scores.is_empty()).then_some(FaceScores { psnr, shown }))
+}
+
+/// Places in a picture of this size, row by row, inside of the hull of a face's landmarks.
+pub fn face_pixels(face: &Face, Size { width, height }: Size) -> Vec<usize> {
+    let hull = ConvexHull::of(face.iter().flatten().copied().collect());
+    let inside = |pixel: &usize| hull.contains([(pixel % width) as f64, (pixel / width) as f64]);
+    (0..width * height).filter(inside).collect()
 }
 
 fn beside([left, right]: [Image; 2]) -> Image {

@@ -54,9 +54,16 @@ impl Gaussians {
     /// Turns the world by 180 degrees, exactly: two coordinates change their signs, and with them rotations and spherical
     /// harmonics. What was upright where -y is up (OpenCV's axes) is upright where +y is (glTF's), and the reverse.
     pub fn half_turn(&mut self, about: HalfTurn) {
-        let (signs, turn): (Vec3, fn(usize, &mut [[f32; 3]])) = match about {
-            HalfTurn::X => (Vec3::new(1.0, -1.0, -1.0), sh::turn_about_x),
-            HalfTurn::Z => (Vec3::new(-1.0, -1.0, 1.0), sh::turn_about_z),
+        let degree = self.sh_degree.min(3);
+        let signs = match about {
+            HalfTurn::X => {
+                sh::turn_about_x(degree, &mut self.sh);
+                Vec3::new(1.0, -1.0, -1.0)
+            }
+            HalfTurn::Z => {
+                sh::turn_about_z(degree, &mut self.sh);
+                Vec3::new(-1.0, -1.0, 1.0)
+            }
         };
         for position in &mut self.positions {
             *position *= signs;
@@ -64,7 +71,6 @@ impl Gaussians {
         for rotation in &mut self.rotations {
             *rotation = Quat::from_vec4((rotation.xyz() * signs).extend(rotation.w));
         }
-        turn(self.sh_degree.min(3), &mut self.sh);
     }
 
     /// Checks that the lists have matching lengths; `set` names the set in the error.

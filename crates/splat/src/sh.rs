@@ -267,8 +267,8 @@ mod tests {
         let seen = DVec3::new(0.4, -0.3, 0.8).normalize();
         for degree in 0..=3 {
             let rotate_any = |degree, sh: &mut [[f32; 3]]| rotate(degree, sh, any);
-            let turns: [(DMat3, &dyn Fn(usize, &mut [[f32; 3]])); 3] =
-                [(any, &rotate_any), (about_x, &turn_about_x), (about_z, &turn_about_z)];
+            type Turn<'a> = &'a dyn Fn(usize, &mut [[f32; 3]]);
+            let turns = [(any, &rotate_any as Turn), (about_x, &turn_about_x), (about_z, &turn_about_z)];
             for (rotation, turn) in turns {
                 let (old, mut new) = (degrees(degree), degrees(degree));
                 turn(degree, &mut new);

@@ -419,9 +419,10 @@ fn tables_of_openface_and_mediapipe_are_read() {
     for text in [&saved, &plain.replace('\n', "\r\n"), &plain.replace(',', ";")] {
         assert!(read(text).expect("OpenFace") == landmarks, "{text}");
     }
-    // MediaPipe's points in pixels, and rows that pandas numbers by fractions.
+    // srflow face counts frames from 0.
     let from_zero = read(&table("frame", &[("0", 3.0), ("1", 4.0)], 68, 1.0)).expect("srflow face");
     assert_eq!(from_zero.get(1, 3).and_then(|face| face[0]), Some([4.0, 0.0]));
+    // MediaPipe's points in pixels, and rows that pandas numbers by fractions.
     let pixels = read(&table("frame", &[("7.0", 10.0)], 478, 1.0)).expect("pixels");
     assert_eq!(pixels.get(7, 3).and_then(|face| face[30]), Some([14.0, 8.0]));
 

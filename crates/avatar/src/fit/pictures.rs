@@ -199,14 +199,14 @@ impl Pictures {
         let points = HeadPoints::vertices(problem.model, vertices.iter().copied());
         let patches = |(timestep, views): (usize, &Vec<&LandmarkView>)| {
             let positions = points.positions(heads.state(timestep));
-            let of_view =
-                |view: &&LandmarkView| match problem.corner_pixels(heads.state(timestep), &view.camera) {
-                    Some(corners) if corners >= LEVELS[0] / 2.0 => {
-                        Ok(Patch::of(&read(view)?, &view.camera, &positions, corners))
-                    }
-                    _ => Ok(None),
-                };
-            views.iter().map(of_view).collect::<Result<Vec<_>, FileError>>()
+            let corners = problem.corner_pixels(heads.state(timestep), views);
+            let of_view = |(view, corners): (&&LandmarkView, Option<f64>)| match corners {
+                Some(corners) if corners >= LEVELS[0] / 2.0 => {
+                    Ok(Patch::of(&read(view)?, &view.camera, &positions, corners))
+                }
+                _ => Ok(None),
+            };
+            views.iter().zip(corners).map(of_view).collect::<Result<Vec<_>, FileError>>()
         };
         let finest = problem.views.par_iter().enumerate().map(patches).collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
@@ -571,10 +571,11 @@ fn skin_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
 }
 
 impl Problem<'_> {
-    /// Pixels between the outer corners of the eyes, as from the front, where a head that is turned away shows less.
-    fn corner_pixels(&self, state: &HeadState, camera: &Camera) -> Option<f64> {
-        let (_, depth) = camera.project(self.points.positions(state)[EYE_CORNERS[0]])?;
-        Some(camera.fx * self.size(state).0 / depth)
+    /// Pixels between the outer corners of the eyes in each view, as from the front, where a head that is turned away shows less.
+    fn corner_pixels(&self, state: &HeadState, views: &[&LandmarkView]) -> Vec<Option<f64>> {
+        let (corner, size) = (self.points.positions(state)[EYE_CORNERS[0]], self.size(state).0);
+        let in_view = |view: &&LandmarkView| Some(view.camera.fx * size / view.camera.project(corner)?.1);
+        views.iter().map(in_view).collect()
     }
 
     /// Aligns the pictures, and says how well they agree. `progress` gets how many steps of how many are done.
@@ -590,10 +591,8 @@ impl Problem<'_> {
     ) -> Result<PictureFit, FileError> {
         let window = Window::all(heads.states.len());
         let states = (0..heads.states.len()).map(|timestep| heads.state(timestep));
-        let corners = states.zip(&self.views).flat_map(|(state, views)| {
-            views.iter().filter_map(move |view| self.corner_pixels(state, &view.camera))
-        });
-        let noise = noise.max(DETECTOR * median(corners));
+        let corners = states.zip(&self.views).flat_map(|(state, views)| self.corner_pixels(state, views));
+        let noise = noise.max(DETECTOR * median(corners.flatten()));
         let mut pictures = Pictures::read(self, heads, read)?;
         let [.., finest] = LEVELS;
         pictures.look(self, heads, finest);

@@ -226,6 +226,11 @@ impl Job for FitJob {
             });
         })?;
 
+        if fitted.report.pictures.as_ref().is_some_and(|pictures| pictures.hidden.is_none()) {
+            log::warn!(
+                "the colours of the face change so much along the timesteps that it is unknown where something hides it"
+            );
+        }
         let hidden = fitted.report.pictures.iter().flat_map(|pictures| pictures.hidden.iter().flatten());
         let hidden: BTreeSet<(u32, u32)> = hidden.map(|view| (view.timestep, view.camera_index)).collect();
         create_folder(&self.out)?;
@@ -376,12 +381,6 @@ impl fmt::Display for Fitted {
                 f,
                 "Colours of {points} points of the skin differ by {after:.1} %, {before:.1} % by the landmarks alone; irises found at {gazes} of {timesteps} timesteps"
             )?;
-            if hidden.is_none() {
-                writeln!(
-                    f,
-                    "Its colours change too much along the timesteps to tell where something hides the face."
-                )?;
-            }
             if let Some(hidden) = hidden.as_ref().filter(|hidden| !hidden.is_empty()) {
                 let names = hidden.iter().map(|view| picture_name(view.timestep, view.camera_index));
                 let names = listed(&names.collect::<Vec<_>>());

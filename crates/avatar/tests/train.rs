@@ -325,6 +325,11 @@ fn what_is_behind_the_head_can_be_covered_by_the_masks() {
     write_transforms(folder.path(), &views).unwrap();
     let (with, without) = (score(true).unwrap().unwrap(), score(false).unwrap().unwrap());
     assert!(with.psnr > without.psnr + 1.0, "{with:?}, {without:?}");
+    // The pictures are white where the masks are empty.
+    let config = TrainConfig { random_background: true, background: [0.0; 3], ..config() };
+    let capture = Capture::read(folder.path()).unwrap();
+    let refused = Trainer::new(capture, MADE.avatar.model().clone(), config).unwrap_err().to_string();
+    assert!(refused.contains("set apply_masks"), "{refused}");
 }
 
 #[test]

@@ -8,6 +8,7 @@
 //! with the identity. The result is the same for any number of threads.
 
 mod arrow;
+mod detectors;
 mod gaze;
 mod hidden;
 mod initial;
@@ -21,6 +22,7 @@ mod tests;
 use srflow_files::FileError;
 use srflow_splat::Camera;
 
+pub use detectors::Detector;
 pub use pictures::{HiddenView, PictureFit, ReadPicture};
 pub use priors::Priors;
 pub use report::{CameraFit, FitReport, Reach, ViewFit};
@@ -161,10 +163,8 @@ pub fn fit(
     let first = problem.first_timestep();
 
     progress(FitStage::First, 0, 1);
-    let mut heads = problem.heads();
-    let posed = problem.posed(first, &heads.states[first], &heads.offsets);
-    heads.states[first] = posed.ok_or(FitError::Pose { timestep: problem.timesteps[first] })?;
-    let mut noise = problem.anneal(&mut heads, &Window::one(first).with_identity());
+    let begun = problem.begin(first).ok_or(FitError::Pose { timestep: problem.timesteps[first] })?;
+    let (mut heads, mut noise) = begun;
     progress(FitStage::First, 1, 1);
 
     // From the first timestep to both ends, each from its neighbour.

@@ -62,11 +62,6 @@ const SPACING: f64 = 1.0 / 24.0;
 /// Residuals of neighbouring points and of channels are alike: all of them tell as much as this share of independent ones.
 const INDEPENDENT: f64 = 0.1;
 
-/// A detector's landmarks are off by about this, in distances between the outer corners of the eyes, and the same way in many pictures, so
-/// that they agree better with each other than with the face. On rendered heads, whose motion is known, MediaPipe's then count as they
-/// should: the error of the motion is 0.4 px; with the noise that they seem to have, a quarter of this, it is 0.7 px.
-const DETECTOR: f64 = 0.016;
-
 /// Added to levels before the logarithm: dark ones are mostly noise.
 const DARK: f64 = 8.0;
 
@@ -572,7 +567,7 @@ fn skin_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
 
 impl Problem<'_> {
     /// Pixels between the outer corners of the eyes in each view, as from the front, where a head that is turned away shows less.
-    fn corner_pixels(&self, state: &HeadState, views: &[&LandmarkView]) -> Vec<Option<f64>> {
+    pub fn corner_pixels(&self, state: &HeadState, views: &[&LandmarkView]) -> Vec<Option<f64>> {
         let (corner, size) = (self.points.positions(state)[EYE_CORNERS[0]], self.size(state).0);
         let in_view = |view: &&LandmarkView| Some(view.camera.fx * size / view.camera.project(corner)?.1);
         views.iter().map(in_view).collect()
@@ -590,9 +585,7 @@ impl Problem<'_> {
         mut progress: impl FnMut(usize, usize),
     ) -> Result<PictureFit, FileError> {
         let window = Window::all(heads.states.len());
-        let states = (0..heads.states.len()).map(|timestep| heads.state(timestep));
-        let corners = states.zip(&self.views).flat_map(|(state, views)| self.corner_pixels(state, views));
-        let noise = noise.max(DETECTOR * median(corners.flatten()));
+        let noise = noise.max(self.usual_noise(heads, &window));
         let mut pictures = Pictures::read(self, heads, read)?;
         let [.., finest] = LEVELS;
         pictures.look(self, heads, finest);

@@ -6,6 +6,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::arrow::{Block, Step, System};
+use super::detectors::{Detector, Offset};
 use super::initial::candidates;
 use super::pictures::Pictures;
 use super::priors::ranges;
@@ -16,7 +17,7 @@ use srflow_head::{HeadModel, HeadPoints, HeadState, JointRole, ShapedHead};
 use srflow_splat::Camera;
 
 /// The noise is not estimated below this, in pixels: no detector is more precise.
-const LEAST_NOISE: f64 = 0.25;
+pub(super) const LEAST_NOISE: f64 = 0.25;
 
 /// Errors of detectors change with pose and expression, but hardly from one timestep to the next: all timesteps together tell as much
 /// about what they share as so many independent ones.
@@ -31,8 +32,8 @@ const AT_ONCE: usize = 32;
 /// The first landmark that is not of the jaw's contour.
 const CONTOUR: usize = 17;
 
-/// Between which [`Priors::landmark`] is learned.
-const OFFSET_DEVIATIONS: [f64; 2] = [0.001, 0.05];
+/// Between which the deviation of offsets is learned, as a share of what is expected.
+const OFFSET_SHARES: [f64; 2] = [0.07, 3.3];
 
 /// Landmarks of the outer corners of the eyes.
 pub(super) const EYE_CORNERS: [usize; 2] = [36, 45];
@@ -63,8 +64,11 @@ pub(super) struct Problem<'a> {
     pub ranges: Vec<Option<[f64; 2]>>,
     /// How many times less precise each landmark is than the best ones.
     factors: Vec<f64>,
-    /// Standard deviation of the offsets of landmarks.
-    offset_deviation: f64,
+    pub detector: Detector,
+    /// Where the offsets of landmarks are expected.
+    pub expected_offsets: [Offset; LANDMARK_COUNT],
+    /// How many times further off than expected they are.
+    offset_share: f64,
     /// Between the outer corners of the eyes, which is the size of the head, and between the pupils.
     pub corners: DistanceAtRest,
     pupils: DistanceAtRest,
@@ -73,7 +77,7 @@ pub(super) struct Problem<'a> {
 /// What is solved for: parameters of some timesteps, the others held.
 #[derive(Debug, Clone)]
 pub(super) struct Window {
-    range: Range<usize>,
+    pub range: Range<usize>,
     identity: bool,
     /// Rotation of the root and translation alone.
     rigid: bool,
@@ -201,7 +205,9 @@ impl<'a> Problem<'a> {
             joints,
             ranges: ranges(model, expressions),
             factors: (0..LANDMARK_COUNT).map(|l| if l < CONTOUR { options.contour } else { 1.0 }).collect(),
-            offset_deviation: options.priors.landmark,
+            detector: Detector::Dlib,
+            expected_offsets: Detector::Dlib.offsets(model, options.priors.landmark),
+            offset_share: 1.0,
         }
     }
 
@@ -274,6 +280,14 @@ impl<'a> Problem<'a> {
         positions.zip(offsets).map(|(position, offset)| position + offset).collect()
     }
 
+    /// How far the offsets are from where they are expected, and the deviation of that, along each axis.
+    fn unexpected(&self, heads: &Heads) -> impl Iterator<Item = (f64, f64)> {
+        heads.offsets.iter().zip(&self.expected_offsets).flat_map(|(offset, expected)| {
+            let deviation = expected.deviation * self.offset_share;
+            (*offset - expected.mean).to_array().into_iter().zip(deviation.to_array())
+        })
+    }
+
     /// Size of the head, metres, and how it grows with each identity weight.
     pub fn size(&self, state: &HeadState) -> (f64, Vec<f64>) {
         self.corners.of(&state.identity)
@@ -290,7 +304,7 @@ impl<'a> Problem<'a> {
         Heads {
             first: 0,
             states: vec![rest(self.model, self.identities, self.expressions); self.timesteps.len()],
-            offsets: vec![DVec3::ZERO; LANDMARK_COUNT],
+            offsets: self.expected_offsets.iter().map(|offset| offset.mean).collect(),
         }
     }
 
@@ -308,7 +322,8 @@ impl<'a> Problem<'a> {
         for candidate in candidates(&self.points, &self.views[timestep], state) {
             let mut heads = Heads { first: timestep, states: vec![candidate], offsets: offsets.to_vec() };
             let Some(noise) = self.noise(&heads, &window) else { continue };
-            let noise = self.anneal_with(&mut heads, &window, noise, LEAST_NOISE);
+            let least = self.least_noise(&heads, &window);
+            let noise = self.anneal_with(&mut heads, &window, noise, least);
             if best.as_ref().is_none_or(|(least, _)| noise < *least) {
                 best = heads.states.pop().map(|state| (noise, state));
             }
@@ -319,8 +334,9 @@ impl<'a> Problem<'a> {
     /// Solves for the window's parameters, first with the noise that the residuals have, then with less and less: a loss that
     /// forgives far landmarks would otherwise keep them far. Returns the noise at the end, pixels.
     pub fn anneal(&self, heads: &mut Heads, window: &Window) -> f64 {
-        let noise = self.noise(heads, window).unwrap_or(LEAST_NOISE);
-        self.anneal_with(heads, window, noise, LEAST_NOISE)
+        let least = self.least_noise(heads, window);
+        let noise = self.noise(heads, window).unwrap_or(least);
+        self.anneal_with(heads, window, noise, least)
     }
 
     fn anneal_with(&self, heads: &mut Heads, window: &Window, mut noise: f64, least: f64) -> f64 {
@@ -414,19 +430,23 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Learns how far the detector's landmarks are from the model's, by the evidence (MacKay 1992, "Bayesian interpolation",
-    /// equation 4.9): their sum of squares over how many of them the landmarks determine.
+    /// Learns how much further from the model's the detector's landmarks are than expected, by the evidence (MacKay 1992, "Bayesian
+    /// interpolation", equation 4.9): their sum of squares over how many of them the landmarks determine.
     pub fn weigh_offsets(&mut self, heads: &Heads, window: &Window, noise: f64) {
         let (system, _) = self.linearise(heads, window, noise, None);
         let Some(step) = system.solve(0.0) else { return };
         let certainty = window.certainty();
-        let (shared, before) = (self.shared(), self.offset_deviation / certainty);
-        let variances = (self.identities..shared).map(|i| step.shared_covariance[i * shared + i]);
-        let determined: f64 = variances.map(|variance| 1.0 - (variance / (before * before)).min(1.0)).sum();
-        let squares: f64 = heads.offsets.iter().map(|offset| offset.length_squared()).sum();
-        let [least, most] = OFFSET_DEVIATIONS;
+        let shared = self.shared();
+        let (mut squares, mut determined) = (0.0, 0.0);
+        for (i, (offset, deviation)) in (self.identities..).zip(self.unexpected(heads)) {
+            let before = (deviation / certainty).powi(2);
+            determined += 1.0 - (step.shared_covariance[i * shared + i] / before).min(1.0);
+            squares += (offset / deviation).powi(2);
+        }
+        let [least, most] = OFFSET_SHARES;
         if determined > 1.0 {
-            self.offset_deviation = (certainty * (squares / determined).sqrt()).clamp(least, most);
+            let learned = certainty * (squares / determined).sqrt() * self.offset_share;
+            self.offset_share = learned.clamp(least, most);
         }
     }
 
@@ -546,11 +566,9 @@ impl<'a> Problem<'a> {
         if let Some(state) = heads.states.first().filter(|_| window.identity) {
             let certainty = window.certainty();
             let identity = self.options.priors.identity / certainty;
-            let landmark = self.offset_deviation / certainty;
             let weights = state.identity.iter().map(|weight| (*weight, identity));
-            let offsets = heads.offsets.iter().flat_map(|offset| offset.to_array());
-            for (i, (value, deviation)) in weights.chain(offsets.map(|offset| (offset, landmark))).enumerate()
-            {
+            let offsets = self.unexpected(heads).map(|(offset, deviation)| (offset, deviation / certainty));
+            for (i, (value, deviation)) in weights.chain(offsets).enumerate() {
                 let precision = deviation.powi(-2);
                 cost += value * value * precision;
                 system.shared_gradient[i] += value * precision;

@@ -3,6 +3,7 @@
 use glam::DVec3;
 use serde::Serialize;
 
+use super::detectors::Detector;
 use super::pictures::PictureFit;
 use super::problem::{EYE_CORNERS, Heads, Problem, Window, landmarks_in};
 use crate::capture::LANDMARK_COUNT;
@@ -12,6 +13,7 @@ use srflow_core::median;
 /// How well a fit explains its landmarks, and what they determine.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FitReport {
+    pub detector: Detector,
     /// Standard deviation of a landmark's coordinates, pixels: as given, or as estimated.
     pub noise: f64,
     /// Detected landmarks in all views.
@@ -89,6 +91,7 @@ impl Problem<'_> {
     /// What the fit explains, with the reach at the timestep of index `at`.
     pub fn report(&self, heads: &Heads, at: usize, noise: f64) -> FitReport {
         let mut report = FitReport {
+            detector: self.detector,
             noise,
             landmarks: 0,
             outliers: 0,
@@ -185,7 +188,6 @@ impl Problem<'_> {
         let weights =
             || heads.states[at].identity.iter().map(|weight| weight.abs() / self.options.priors.identity);
         let name = |shapes: &[srflow_head::Shape], number: usize| shapes[number].name.clone();
-        let identity = self.options.priors.identity / Window::all(heads.states.len()).certainty();
         let unknown = |joint: usize, place: usize| {
             self.joint_deviations(joint)
                 .is_some_and(|deviations| (0..3).all(|axis| by_prior(place + axis, deviations[axis])))
@@ -203,7 +205,7 @@ impl Problem<'_> {
                 .sqrt(),
             identities: self.identities,
             unknown_identities: (0..self.identities)
-                .filter(|i| by_prior(*i, identity))
+                .filter(|i| by_prior(*i, self.options.priors.identity))
                 .map(|i| name(&self.model.identities, i))
                 .collect(),
             expressions: self.expressions,
@@ -224,7 +226,9 @@ impl Problem<'_> {
         let (s, d) = (self.shared(), self.own());
         let all = Window::all(heads.states.len()).with_identity();
         let (whole, _) = self.linearise(heads, &all, noise, None);
-        let of_identity = whole.solve(0.0)?.shared_covariance;
+        // The priors are narrower by the certainty, and with them the covariance.
+        let scale = all.certainty().powi(2);
+        let of_identity = whole.solve(0.0)?.shared_covariance.into_iter().map(|c| c * scale).collect();
         let (one, _) = self.linearise(heads, &Window::one(at).with_identity(), noise, None);
         let block = one.blocks.first()?;
         // The precision whose marginal of the identity is that of all timesteps: its inverse plus what the pose takes away.

@@ -6,8 +6,8 @@ use srflow_splat::Camera;
 
 use super::arrow::{Step, System};
 use super::pictures::Pictures;
-use super::problem::{Heads, Problem, Window};
-use super::{FitOptions, LandmarkView, fit};
+use super::problem::{EYE_CORNERS, Heads, Problem, Window};
+use super::{Detector, FitOptions, LandmarkView, fit};
 use crate::visible_surface;
 
 /// The derivatives of the cost, of data and of all priors, are its differences.
@@ -73,11 +73,17 @@ fn camera() -> Camera {
     Camera::centred(Size::new(320, 320), [900.0; 2]).placed(facing, DVec3::new(0.0, 0.0, 0.9))
 }
 
-/// Heads that turn, smile, look around, and open their mouth, and their landmarks with noise, pixels.
-fn moving_heads(model: &HeadModel, count: u32, noise: f64) -> (Vec<HeadState>, Vec<LandmarkView>) {
+/// Heads that turn, smile, look around, and open their mouth, and the landmarks of a detector with noise, pixels.
+fn moving_heads(
+    model: &HeadModel,
+    count: u32,
+    detector: Detector,
+    noise: f64,
+) -> (Vec<HeadState>, Vec<LandmarkView>) {
     let mut stream = Key::new(5).stream("moving heads");
     let mut random = |scale: f64| f64::from(stream.normal().clamp(-1.5, 1.5)) * scale;
     let points = HeadPoints::landmarks(model);
+    let offsets = detector.offsets(model, 0.0).map(|offset| offset.mean);
     let [left, right] = [JointRole::LeftEye, JointRole::RightEye].map(|role| model.joint(role).unwrap());
     let identity: Vec<f64> = model.identities.iter().map(|_| random(0.7)).collect();
     let smile = model.action_units.iter().find(|unit| unit.number == 12).unwrap().expressions[0].0;
@@ -95,15 +101,22 @@ fn moving_heads(model: &HeadModel, count: u32, noise: f64) -> (Vec<HeadState>, V
     };
     let states: Vec<HeadState> = (0..count).map(state).collect();
     let view = |(timestep, state): (u32, &HeadState)| {
-        let seen: Vec<DVec3> = points.positions(state);
+        let true_places: Vec<DVec3> = points.positions(state);
+        let size = eye_corners(&true_places);
         let landmarks = std::array::from_fn(|landmark| {
-            let [x, y] = camera().project(seen[landmark]).unwrap().0.to_array();
+            let seen = true_places[landmark] + state.joint(0) * offsets[landmark] * size;
+            let [x, y] = camera().project(seen).unwrap().0.to_array();
             Some([x + random(noise), y + random(noise)])
         });
         LandmarkView { timestep, camera_index: 0, camera: camera(), landmarks }
     };
     let views = (0..).zip(&states).map(view).collect();
     (states, views)
+}
+
+fn eye_corners(landmarks: &[DVec3]) -> f64 {
+    let [right, left] = EYE_CORNERS;
+    landmarks[right].distance(landmarks[left])
 }
 
 /// A picture of a head in a light from the side, with a pattern on its skin and dark irises.
@@ -146,7 +159,7 @@ fn exposure(timestep: u32) -> f64 {
 #[test]
 fn the_gradient_with_pictures_is_that_of_the_cost() {
     let model = HeadModel::builtin_average();
-    let (states, views) = moving_heads(&model, 3, 1.0);
+    let (states, views) = moving_heads(&model, 3, Detector::Dlib, 1.0);
     let options = FitOptions::default();
     let problem = Problem::new(&model, &views, &options);
     let mut heads = Heads { states, ..problem.heads() };
@@ -163,7 +176,7 @@ fn the_gradient_with_pictures_is_that_of_the_cost() {
 #[test]
 fn pictures_make_motion_and_gaze_exact() {
     let model = HeadModel::builtin_average();
-    let (states, views) = moving_heads(&model, 6, 1.0);
+    let (states, views) = moving_heads(&model, 6, Detector::Dlib, 1.0);
     let read =
         |view: &LandmarkView| Ok(painted(&model, &states[view.timestep as usize], exposure(view.timestep)));
     let fitted = |read| fit(&model, &views, read, &FitOptions::default(), |_, _, _| ()).unwrap();
@@ -200,7 +213,7 @@ fn pictures_make_motion_and_gaze_exact() {
 #[test]
 fn pictures_with_a_hand_before_the_face_are_left_out() {
     let model = HeadModel::builtin_average();
-    let (states, views) = moving_heads(&model, 12, 1.0);
+    let (states, views) = moving_heads(&model, 12, Detector::Dlib, 1.0);
     let options = FitOptions::default();
     let problem = Problem::new(&model, &views, &options);
     let heads = Heads { states, ..problem.heads() };
@@ -230,9 +243,24 @@ fn pictures_with_a_hand_before_the_face_are_left_out() {
 }
 
 #[test]
+fn detectors_are_told_apart_and_heads_have_the_stated_size() {
+    let model = HeadModel::builtin_average();
+    let points = HeadPoints::landmarks(&model);
+    for detector in Detector::ALL {
+        let (states, views) = moving_heads(&model, 6, detector, 1.0);
+        let fitted = fit(&model, &views, None, &FitOptions::default(), |_, _, _| ()).unwrap();
+        assert_eq!(fitted.report.detector, detector);
+        let [found, deviation] = fitted.report.reach.eye_corners;
+        let truth = eye_corners(&points.positions(&states[0]));
+        eprintln!("{detector:?}: {found} m for {truth} m, known to {deviation} m");
+        assert!(deviation < 0.004 && (found - truth).abs() < 2.0 * deviation, "{found} {truth} {deviation}");
+    }
+}
+
+#[test]
 fn a_picture_that_cannot_be_read_is_an_error() {
     let model = HeadModel::builtin_average();
-    let (_, views) = moving_heads(&model, 3, 0.5);
+    let (_, views) = moving_heads(&model, 3, Detector::Dlib, 0.5);
     let read = |_: &LandmarkView| {
         let problem = srflow_files::FileProblem::field("picture", "one", "none");
         Err(problem.in_file("frames".as_ref()))

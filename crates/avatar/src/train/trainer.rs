@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_core::Image;
 use srflow_core::random::Key;
+use srflow_core::{Image, median};
 use srflow_files::{FileError, FileProblem};
 use srflow_splat::{
     Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Options, RasterizeError, Rasterizer,
@@ -111,6 +111,9 @@ impl Trainer {
             return Err(TrainError::NoPictures { dir: dir(), found: views.len() });
         }
         capture.check_pictures(config.apply_masks || config.random_background)?;
+        if config.random_background && !config.apply_masks {
+            check_background(&capture, &views[training[0]], config.background)?;
+        }
         let parameters = capture.parameters()?;
         let start = initial_gaussians(model.triangles.len(), config.initial_opacity(), config.seed);
         let local = Gaussians { antialiased: config.antialiased, ..start.local().clone() };
@@ -454,6 +457,33 @@ fn older_fingerprint(views: &[CaptureView], parameters: &HeadParameters) -> Stri
     }
     hasher.update(format!("{parameters:?}").as_bytes());
     format!("{:08x}", hasher.finalize())
+}
+
+/// Checks that a picture shows `background` where its mask is empty: it is replaced there by other colours.
+fn check_background(capture: &Capture, view: &CaptureView, background: [f32; 3]) -> Result<(), FileError> {
+    const APART: f64 = 0.1;
+    let Some(mask) = capture.mask(view)? else { return Ok(()) };
+    let image = capture.image(view)?;
+    let outside: Vec<[u8; 3]> = image
+        .pixels()
+        .iter()
+        .zip(mask.pixels())
+        .filter(|(_, alpha)| **alpha == 0.0)
+        .map(|(p, _)| *p)
+        .collect();
+    if outside.is_empty() {
+        return Ok(());
+    }
+    let shown = [0, 1, 2].map(|c| median(outside.iter().map(|pixel| f64::from(pixel[c]) / 255.0)));
+    if shown.iter().zip(background).all(|(shown, given)| (shown - f64::from(given)).abs() < APART) {
+        return Ok(());
+    }
+    let expected = format!("{background:?} where the mask is empty, since random_background is set");
+    let found = format!(
+        "[{:.2}, {:.2}, {:.2}]; set apply_masks, or background to that",
+        shown[0], shown[1], shown[2]
+    );
+    Err(FileProblem::field("background", expected, found).in_file(&capture.dir().join(&view.image)))
 }
 
 /// The picture of a view before `background`, 0..1, row-major, and the colour that is behind the head in it: that of the

@@ -350,8 +350,8 @@ impl fmt::Display for Fitted {
         )?;
         writeln!(
             f,
-            "{} landmarks, {} missing, {} outliers ({share:.1} %), noise {:.2} px",
-            report.landmarks, report.missing, report.outliers, report.noise
+            "{} landmarks as {} places them, {} missing, {} outliers ({share:.1} %), noise {:.2} px",
+            report.landmarks, report.detector, report.missing, report.outliers, report.noise
         )?;
         for camera in &report.cameras {
             writeln!(

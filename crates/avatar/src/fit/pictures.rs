@@ -544,7 +544,7 @@ fn harmonics(DVec3 { x, y, z }: DVec3) -> [f64; HARMONICS] {
 }
 
 /// Vertices of the face's skin, one in each cell of this side, metres.
-fn skin_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
+pub(super) fn skin_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
     let landmarks: Vec<Vec3> = model.landmarks_on(&model.template).collect();
     // In front of the ears, and below the hair of most people.
     let behind = landmarks[0].z.min(landmarks[16].z);
@@ -553,7 +553,9 @@ fn skin_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
     let facial =
         |region: &Region| matches!(region, Region::Skin | Region::Brow | Region::Lips | Region::LidMargin);
     let mut on_face = vec![false; model.template.len()];
-    for (triangle, _) in model.triangles.iter().zip(&model.regions).filter(|(_, region)| facial(region)) {
+    // Carriers of an avatar's own Gaussians are no skin.
+    let (_, surface) = model.surface(&model.template);
+    for (triangle, _) in surface.iter().zip(&model.regions).filter(|(_, region)| facial(region)) {
         triangle.iter().for_each(|vertex| on_face[*vertex as usize] = true);
     }
     let mut taken = HashSet::new();

@@ -1,11 +1,11 @@
 use glam::{DMat3, DQuat, DVec2, DVec3, Vec3};
 use srflow_core::random::Key;
 use srflow_core::{Image, Size};
-use srflow_head::{HeadModel, HeadPoints, HeadState, JointRole, Region, vertex_normals};
+use srflow_head::{HeadModel, HeadPoints, HeadState, JointRole, ModelSource, Region, vertex_normals};
 use srflow_splat::Camera;
 
 use super::arrow::{Step, System};
-use super::pictures::Pictures;
+use super::pictures::{Pictures, skin_points};
 use super::problem::{EYE_CORNERS, Heads, Problem, Window};
 use super::{Detector, FitOptions, LandmarkView, fit};
 use crate::visible_surface;
@@ -255,6 +255,20 @@ fn detectors_are_told_apart_and_heads_have_the_stated_size() {
         eprintln!("{detector:?}: {found} m for {truth} m, known to {deviation} m");
         assert!(deviation < 0.004 && (found - truth).abs() < 2.0 * deviation, "{found} {truth} {deviation}");
     }
+}
+
+#[test]
+fn points_of_the_skin_are_on_the_surface_and_not_carriers_of_gaussians() {
+    let folder = std::path::Path::new("../../../shared/data/lam/p2-1");
+    if !folder.is_dir() {
+        eprintln!("skipped: shared-data: no avatar of LAM at {}", folder.display());
+        return;
+    }
+    let source: ModelSource = format!("lam:{}", folder.display()).parse().unwrap();
+    let model = source.model(1).unwrap();
+    let points = skin_points(&model, 0.004);
+    let (vertices, _) = model.surface(&model.template);
+    assert!(points.len() > 1000 && points.iter().all(|point| (*point as usize) < vertices.len()));
 }
 
 #[test]

@@ -34,6 +34,9 @@ pub struct TrainConfig {
     /// the same before all of them; before one colour, a thin one can too. (The option of this name in 3D Gaussian Splatting leaves the
     /// colour in the pictures.)
     pub random_background: bool,
+    /// Whether the mesh hides what is more than 10 mm behind it in the pictures that are trained on. Gaussians in front then become
+    /// opaque. Otherwise the back of the head may be seen through the face, in its colour and with another motion.
+    pub opaque_mesh: bool,
     /// As the reference does it, with its defects:
     ///
     /// - cameras have no principal point and no vertical focal length of their own;
@@ -64,6 +67,7 @@ impl Default for TrainConfig {
             sort_per_pixel: false,
             apply_masks: false,
             random_background: false,
+            opaque_mesh: false,
             faithful: false,
             rates: RateSchedule::default(),
             pose_rates: PoseRates::default(),

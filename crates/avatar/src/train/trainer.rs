@@ -1,9 +1,11 @@
 //! The loop of training: one picture at a time, from the pose to the step of Adam.
 
+use std::f64::consts::FRAC_1_SQRT_2;
 use std::path::{Path, PathBuf};
 
+use glam::DVec2;
 use srflow_core::random::Key;
-use srflow_core::{Image, median};
+use srflow_core::{Image, Size, median};
 use srflow_files::{FileError, FileProblem};
 use srflow_splat::{
     Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Options, RasterizeError, Rasterizer,
@@ -18,7 +20,7 @@ use super::{
     initial_gaussians, scene_extent,
 };
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
-use crate::{Avatar, AvatarError, BoundGradients, PosedHead};
+use crate::{Avatar, AvatarError, BoundGradients, PosedHead, SurfacePoint, visible_surface};
 use srflow_head::{HeadGradient, HeadModel, HeadParameters, HeadPose, PoseParameters, TriangleFrame};
 
 /// Why an avatar could not be trained or scored.
@@ -241,6 +243,10 @@ impl Trainer {
         let timestep = view.timestep_place(&self.timesteps);
         let pose = &self.poses[timestep];
         avatar.gaussians_into(pose, &mut buffers.head, &mut buffers.world);
+        if config.opaque_mesh {
+            let (surface, triangles) = avatar.model().surface(buffers.head.vertices());
+            hide_behind(&visible_surface(surface, triangles, &camera), &camera, &mut buffers.world);
+        }
         let cannot = |error| TrainError::Render { image: view.image.clone(), error };
         let Buffers { rasterizer, frame, world, loss, .. } = buffers;
         let options = Options { background, ..config.rendering() };
@@ -459,11 +465,38 @@ fn older_fingerprint(views: &[CaptureView], parameters: &HeadParameters) -> Stri
     format!("{:08x}", hasher.finalize())
 }
 
+/// Makes the Gaussians transparent that are behind a surface, of which each pixel has the nearest point, with all that is to be seen of
+/// them.
+fn hide_behind(surface: &[Option<SurfacePoint>], camera: &Camera, gaussians: &mut Gaussians) {
+    const BEHIND_METRES: f64 = 0.01;
+    const DEVIATIONS: f64 = 3.0;
+    let Size { width, height } = camera.size();
+    let is_behind = |at: DVec2, depth: f64| {
+        let inside = |at: f64, side: usize| at.round() >= 0.0 && at.round() < side as f64;
+        inside(at.x, width)
+            && inside(at.y, height)
+            && surface[at.y.round() as usize * width + at.x.round() as usize]
+                .is_some_and(|nearest| depth > nearest.depth + BEHIND_METRES)
+    };
+    let diagonal = DVec2::splat(FRAC_1_SQRT_2);
+    let directions = [DVec2::X, diagonal].map(|at| [at, at.perp(), -at, -at.perp()]);
+    let Gaussians { positions, scales, opacities, .. } = gaussians;
+    for ((position, scale), opacity) in positions.iter().zip(scales).zip(opacities) {
+        let Some((pixel, depth)) = camera.project(position.as_dvec3()) else { continue };
+        let radius = DEVIATIONS * f64::from(scale.max_element()) * camera.fx.max(camera.fy) / depth;
+        let rim =
+            || directions.iter().flatten().all(|direction| is_behind(pixel + *direction * radius, depth));
+        if is_behind(pixel, depth) && rim() {
+            *opacity = 0.0;
+        }
+    }
+}
+
 /// Checks that a picture shows `background` where its mask is empty: it is replaced there by other colours.
 fn check_background(capture: &Capture, view: &CaptureView, background: [f32; 3]) -> Result<(), FileError> {
     const APART: f64 = 0.1;
-    let Some(mask) = capture.mask(view)? else { return Ok(()) };
-    let image = capture.image(view)?;
+    // A picture that cannot be read stops the step that needs it.
+    let (Ok(Some(mask)), Ok(image)) = (capture.mask(view), capture.image(view)) else { return Ok(()) };
     let outside: Vec<[u8; 3]> = image
         .pixels()
         .iter()
@@ -520,8 +553,36 @@ pub(super) fn picture(
 
 #[cfg(test)]
 mod tests {
+    use glam::{DVec3, Vec3};
+
     use super::*;
-    use srflow_core::Size;
+
+    #[test]
+    fn what_is_behind_the_surface_with_its_rim_is_hidden() {
+        let camera = Camera::centred(Size::new(100, 100), [100.0; 2]);
+        // The left half of the picture, a metre away.
+        let near = SurfacePoint { triangle: 0, weights: DVec3::X, depth: 1.0 };
+        let surface: Vec<_> = (0..100 * 100).map(|at| (at % 100 < 50).then_some(near)).collect();
+        let scale = 0.01;
+        let cases = [
+            (Vec3::new(-0.2, 0.0, 1.1), true),
+            (Vec3::new(-0.2, 0.0, 1.005), false),
+            // Three deviations reach beyond the surface, and beyond the picture.
+            (Vec3::new(-0.02, 0.0, 1.1), false),
+            (Vec3::new(-0.54, 0.0, 1.1), false),
+            (Vec3::new(0.2, 0.0, 1.1), false),
+            (Vec3::new(-0.2, 0.0, -1.1), false),
+        ];
+        let mut gaussians = Gaussians {
+            positions: cases.iter().map(|(position, _)| *position).collect(),
+            scales: vec![Vec3::splat(scale); cases.len()],
+            opacities: vec![0.5; cases.len()],
+            ..Gaussians::default()
+        };
+        hide_behind(&surface, &camera, &mut gaussians);
+        let expected: Vec<f32> = cases.iter().map(|(_, hidden)| if *hidden { 0.0 } else { 0.5 }).collect();
+        assert_eq!(gaussians.opacities, expected);
+    }
 
     #[test]
     fn fingerprints_have_a_version_and_change_with_the_parameters() {

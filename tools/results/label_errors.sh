@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # docs/explanation/avatars.md: An avatar from a video. Needs MediaPipe's networks (SRFLOW_FACE_MODELS). Writes into the current folder, one
-# JSON for each number of cameras.
+# JSON for each number of cameras, with and without opaque_mesh.
 set -euo pipefail
 for cameras in 1 4; do
   name=builtin-$cameras
@@ -14,6 +14,9 @@ for cameras in 1 4; do
     tables+=(--landmarks-of "$((10#$camera))=$name/$camera.csv")
   done
   srflow avatar fit "$name/capture" --model builtin-average --photometric "${tables[@]}" --out "$name/fit"
-  srflow avatar train "$name/fit" --config video --set apply_masks=true --iterations 2000 --out "$name/avatar"
-  srflow avatar eval "$name/avatar" "$name/fit" --flow --truth "$name/capture" --json > "$name.json"
+  for opaque in true false; do
+    srflow avatar train "$name/fit" --config video --set apply_masks=true --set opaque_mesh=$opaque --iterations 2000 \
+      --out "$name/avatar-$opaque"
+    srflow avatar eval "$name/avatar-$opaque" "$name/fit" --flow --truth "$name/capture" --json > "$name-$opaque.json"
+  done
 done

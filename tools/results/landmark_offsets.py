@@ -1,3 +1,4 @@
+#!/usr/bin/env python3
 """Where MediaPipe puts dlib's landmarks on rendered heads: crates/avatar/src/fit/detectors/mediapipe.rs.
 
     python tools/results/landmark_offsets.py HEAD NAME SCRATCH > table
@@ -62,6 +63,7 @@ def offsets(folder: Path) -> np.ndarray:
         turned = rotation(pose["rotation"][0].astype(float)) @ rotation(pose["neck_pose"][0].astype(float))
         heads[timestep] = turned, pose["translation"][0].astype(float)
 
+    on_head = true_places(cameras, true, heads[0])
     normal, right = np.zeros((68, 3, 3)), np.zeros((68, 3))
     for camera in CAMERAS:
         camera_from_world, focal = cameras[camera]
@@ -73,28 +75,32 @@ def offsets(folder: Path) -> np.ndarray:
             camera_from_head = camera_from_world[:3, :3] @ world_from_head
             if -camera_from_head[2, 2] < np.cos(np.radians(FARTHEST)):
                 continue
-            depth = (camera_from_world[:3, :3] @ place + camera_from_world[:3, 3])[2]
-            pixels_from_head = focal / depth * camera_from_head[:2]
+            in_camera = camera_from_world[:3, :3] @ (world_from_head @ on_head.T + place[:, None])
+            depths = in_camera[2] + camera_from_world[2, 3]
+            pixels_from_head = focal / depths[:, None, None] * camera_from_head[:2]
             detected = np.array([[float(row[f"x_{n}"]), float(row[f"y_{n}"])] for n in range(68)])
-            apart = detected - true[timestep, camera]
-            normal += pixels_from_head.T @ pixels_from_head
-            right += apart @ pixels_from_head
+            apart = detected - true.get((timestep, camera), np.nan)
+            seen = np.isfinite(apart).all(axis=1)
+            normal[seen] += np.einsum("lpi,lpj->lij", pixels_from_head, pixels_from_head)[seen]
+            right[seen] += np.einsum("lpi,lp->li", pixels_from_head, apart)[seen]
     metres = np.linalg.solve(normal, right[..., None])[..., 0]
-    return metres / eye_corners(cameras, true)
+    return metres / np.linalg.norm(on_head[36] - on_head[45])
 
 
-def eye_corners(cameras: dict, true: dict) -> float:
-    """Distance between the outer corners of the eyes at the first timestep, metres."""
-    places = []
-    for landmark in (36, 45):
+def true_places(cameras: dict, true: dict, head: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """The true landmarks in the axes of the head at the first timestep (68, 3), metres."""
+    world_from_head, place = head
+    places = np.zeros((68, 3))
+    for landmark in range(68):
         rows, values = [], []
         for camera, (camera_from_world, focal) in cameras.items():
             across = (true[0, camera][landmark] - [WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5]) / focal
             for axis in (0, 1):
                 rows.append(camera_from_world[axis, :3] - across[axis] * camera_from_world[2, :3])
                 values.append(across[axis] * camera_from_world[2, 3] - camera_from_world[axis, 3])
-        places.append(np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0])
-    return float(np.linalg.norm(places[0] - places[1]))
+        world = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0]
+        places[landmark] = world_from_head.T @ (world - place)
+    return places
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 use glam::{DVec2, DVec3, Vec3};
 use srflow_core::Size;
+use srflow_head::{HeadModel, Region};
 use srflow_splat::Camera;
 
 /// A point of a mesh that a camera sees.
@@ -55,6 +56,13 @@ pub fn visible_surface(
         }
     }
     points
+}
+
+/// Triangles of the model's surface that hide what is behind them: all but clear ones, such as the cornea.
+pub(crate) fn opaque_triangles(model: &HeadModel) -> Vec<[u32; 3]> {
+    let (_, triangles) = model.surface(&model.template);
+    let opaque = triangles.iter().zip(&model.regions).filter(|(_, region)| **region != Region::Clear);
+    opaque.map(|(triangle, _)| *triangle).collect()
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use srflow_head::HeadModel;
 use super::problem::{Heads, LEAST_NOISE, Problem, Window};
 use crate::capture::LANDMARK_COUNT;
 
-/// Whose landmarks a fit was given: those that fit the head model best.
+/// Where the landmarks of a fit come from, by which fits best.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Detector {
@@ -23,8 +23,8 @@ pub enum Detector {
 }
 
 /// A detector's landmarks are off by about this, in distances between the outer corners of the eyes, and the same way in many pictures, so
-/// that they agree better with each other than with the face. On rendered heads, whose motion is known, MediaPipe's then count as they
-/// should: the error of the motion is 0.4 px; with the noise that they seem to have, a quarter of this, it is 0.7 px.
+/// that they agree better with each other than with the face. Measured for MediaPipe: on rendered heads, a photometric fit with this noise
+/// halves the error of the motion, compared with the noise that the landmarks seem to have.
 const NOISE: f64 = 0.016;
 
 /// Where a landmark of a detector is, from that of a head model: mean and standard deviation over persons, along the axes of the head and
@@ -78,11 +78,12 @@ impl Problem<'_> {
             let noise = self.anneal(&mut heads, &window);
             tried.push((detector, heads, noise));
         }
-        // By one measure for all.
+        // Compared with the same noise, and with what wide priors cost.
         let noise = tried.iter().fold(0.0, |most: f64, (.., noise)| most.max(*noise));
         let mut cost = |(detector, heads, _): &(Detector, Heads, f64)| {
             self.expect(*detector);
-            self.linearise(heads, &window, noise, None).1
+            let widths: f64 = self.unexpected(heads).map(|(_, deviation)| deviation.ln()).sum();
+            self.linearise(heads, &window, noise, None).1 + 2.0 * widths
         };
         let costs: Vec<f64> = tried.iter().map(&mut cost).collect();
         let (_, (detector, heads, noise)) =
@@ -96,7 +97,7 @@ impl Problem<'_> {
         self.expected_offsets = detector.offsets(self.model, self.options.priors.landmark);
     }
 
-    /// Below which the noise of the landmarks is not estimated, in pixels.
+    /// The smallest noise that a fit assumes, pixels.
     pub fn least_noise(&self, heads: &Heads, window: &Window) -> f64 {
         match self.detector {
             Detector::Dlib => LEAST_NOISE,

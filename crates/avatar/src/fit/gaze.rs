@@ -2,10 +2,11 @@
 
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
-use srflow_head::{JointRole, Region, ShapedHead};
+use srflow_head::{JointRole, ShapedHead};
 
 use super::pictures::Pictures;
 use super::problem::{Heads, Problem};
+use crate::surface::opaque_triangles;
 use crate::{Similarity, SurfacePoint, visible_surface};
 
 /// Angle at the centre of the eye between the middle and the rim of the iris: a radius of 5.9 mm in eyeballs of 12 mm.
@@ -66,10 +67,8 @@ impl Problem<'_> {
         let (model, state) = (self.model, heads.state(timestep));
         let mut posed = Vec::new();
         model.vertices(shaped, &state.pose(), &mut posed);
-        let (surface, all) = model.surface(&posed);
-        // The cornea is in front of the eye.
-        let opaque = all.iter().zip(&model.regions).filter(|(_, region)| **region != Region::Clear);
-        let triangles: Vec<[u32; 3]> = opaque.map(|(triangle, _)| *triangle).collect();
+        let (surface, _) = model.surface(&posed);
+        let triangles = opaque_triangles(model);
         let mut seen = Vec::new();
         for patch in pictures.of_timestep(timestep) {
             let points = visible_surface(surface, &triangles, &patch.camera);

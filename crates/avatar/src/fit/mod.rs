@@ -163,8 +163,8 @@ pub fn fit(
     let first = problem.first_timestep();
 
     progress(FitStage::First, 0, 1);
-    let begun = problem.begin(first).ok_or(FitError::Pose { timestep: problem.timesteps[first] })?;
-    let (mut heads, mut noise) = begun;
+    let timestep = problem.timesteps[first];
+    let (mut heads, mut noise) = problem.begin(first).ok_or(FitError::Pose { timestep })?;
     progress(FitStage::First, 1, 1);
 
     // From the first timestep to both ends, each from its neighbour.

@@ -17,7 +17,8 @@ pub struct Priors {
     pub identity: f64,
     /// Of where the detector puts a landmark on the head, from where the model has it, along each axis; in distances between the
     /// outer corners of the eyes. Detectors and models define landmarks differently, and without this the identity has to
-    /// explain the difference. A first guess: it is learned from the landmarks. Of MediaPipe's, a table tells more ([`Detector`](super::Detector)).
+    /// explain the difference. A first guess: it is learned from the landmarks.
+    /// For MediaPipe, the table of [`Detector`](super::Detector) replaces it.
     pub landmark: f64,
     /// Of an expression weight. An expression with a range, that is one which an action unit is made of, has half of its range
     /// instead, and resists leaving it.

@@ -32,8 +32,8 @@ const AT_ONCE: usize = 32;
 /// The first landmark that is not of the jaw's contour.
 const CONTOUR: usize = 17;
 
-/// Between which the deviation of offsets is learned, as a share of what is expected.
-const OFFSET_SHARES: [f64; 2] = [0.07, 3.3];
+/// Between which [`Problem::offset_factor`] is learned.
+const OFFSET_FACTORS: [f64; 2] = [0.07, 3.3];
 
 /// Landmarks of the outer corners of the eyes.
 pub(super) const EYE_CORNERS: [usize; 2] = [36, 45];
@@ -67,8 +67,8 @@ pub(super) struct Problem<'a> {
     pub detector: Detector,
     /// Where the offsets of landmarks are expected.
     pub expected_offsets: [Offset; LANDMARK_COUNT],
-    /// How many times further off than expected they are.
-    offset_share: f64,
+    /// How many times larger than expected their deviations are.
+    offset_factor: f64,
     /// Between the outer corners of the eyes, which is the size of the head, and between the pupils.
     pub corners: DistanceAtRest,
     pupils: DistanceAtRest,
@@ -207,7 +207,7 @@ impl<'a> Problem<'a> {
             factors: (0..LANDMARK_COUNT).map(|l| if l < CONTOUR { options.contour } else { 1.0 }).collect(),
             detector: Detector::Dlib,
             expected_offsets: Detector::Dlib.offsets(model, options.priors.landmark),
-            offset_share: 1.0,
+            offset_factor: 1.0,
         }
     }
 
@@ -281,9 +281,9 @@ impl<'a> Problem<'a> {
     }
 
     /// How far the offsets are from where they are expected, and the deviation of that, along each axis.
-    fn unexpected(&self, heads: &Heads) -> impl Iterator<Item = (f64, f64)> {
+    pub fn unexpected(&self, heads: &Heads) -> impl Iterator<Item = (f64, f64)> {
         heads.offsets.iter().zip(&self.expected_offsets).flat_map(|(offset, expected)| {
-            let deviation = expected.deviation * self.offset_share;
+            let deviation = expected.deviation * self.offset_factor;
             (*offset - expected.mean).to_array().into_iter().zip(deviation.to_array())
         })
     }
@@ -323,7 +323,8 @@ impl<'a> Problem<'a> {
             let mut heads = Heads { first: timestep, states: vec![candidate], offsets: offsets.to_vec() };
             let Some(noise) = self.noise(&heads, &window) else { continue };
             let least = self.least_noise(&heads, &window);
-            let noise = self.anneal_with(&mut heads, &window, noise, least);
+            self.anneal_with(&mut heads, &window, noise, least);
+            let Some(noise) = self.noise(&heads, &window) else { continue };
             if best.as_ref().is_none_or(|(least, _)| noise < *least) {
                 best = heads.states.pop().map(|state| (noise, state));
             }
@@ -443,10 +444,10 @@ impl<'a> Problem<'a> {
             determined += 1.0 - (step.shared_covariance[i * shared + i] / before).min(1.0);
             squares += (offset / deviation).powi(2);
         }
-        let [least, most] = OFFSET_SHARES;
+        let [least, most] = OFFSET_FACTORS;
         if determined > 1.0 {
-            let learned = certainty * (squares / determined).sqrt() * self.offset_share;
-            self.offset_share = learned.clamp(least, most);
+            let learned = certainty * (squares / determined).sqrt() * self.offset_factor;
+            self.offset_factor = learned.clamp(least, most);
         }
     }
 
@@ -576,7 +577,7 @@ impl<'a> Problem<'a> {
             }
             if let Some(distance) = self.options.eye_distance {
                 let (found, slopes) = self.pupils.of(&state.identity);
-                let precision = EYE_DISTANCE_DEVIATION.powi(-2);
+                let precision = (certainty / EYE_DISTANCE_DEVIATION).powi(2);
                 cost += (found - distance).powi(2) * precision;
                 for (i, slope) in slopes.iter().enumerate() {
                     system.shared_gradient[i] += (found - distance) * slope * precision;

@@ -20,6 +20,7 @@ use super::{
     initial_gaussians, scene_extent,
 };
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
+use crate::surface::opaque_triangles;
 use crate::{Avatar, AvatarError, BoundGradients, PosedHead, SurfacePoint, visible_surface};
 use srflow_head::{HeadGradient, HeadModel, HeadParameters, HeadPose, PoseParameters, TriangleFrame};
 
@@ -102,7 +103,8 @@ impl Trainer {
     ///
     /// # Errors
     /// When the configuration is out of range, the capture has no pictures for training, one of its pictures is missing, its parameters
-    /// cannot be read, or they do not fit the model.
+    /// cannot be read, they do not fit the model, or the first picture shows another colour than the background outside its mask, and that
+    /// is to be replaced.
     pub fn new(capture: Capture, model: HeadModel, config: TrainConfig) -> Result<Self, TrainError> {
         config.check()?;
         let dir = || capture.dir().to_owned();
@@ -244,8 +246,9 @@ impl Trainer {
         let pose = &self.poses[timestep];
         avatar.gaussians_into(pose, &mut buffers.head, &mut buffers.world);
         if config.opaque_mesh {
-            let (surface, triangles) = avatar.model().surface(buffers.head.vertices());
-            hide_behind(&visible_surface(surface, triangles, &camera), &camera, &mut buffers.world);
+            let (surface, _) = avatar.model().surface(buffers.head.vertices());
+            let triangles = opaque_triangles(avatar.model());
+            hide_behind(&visible_surface(surface, &triangles, &camera), &camera, &mut buffers.world);
         }
         let cannot = |error| TrainError::Render { image: view.image.clone(), error };
         let Buffers { rasterizer, frame, world, loss, .. } = buffers;
@@ -465,8 +468,7 @@ fn older_fingerprint(views: &[CaptureView], parameters: &HeadParameters) -> Stri
     format!("{:08x}", hasher.finalize())
 }
 
-/// Makes the Gaussians transparent that are behind a surface, of which each pixel has the nearest point, with all that is to be seen of
-/// them.
+/// Hides the Gaussians that lie wholly behind the surface, of which each pixel has the nearest point.
 fn hide_behind(surface: &[Option<SurfacePoint>], camera: &Camera, gaussians: &mut Gaussians) {
     const BEHIND_METRES: f64 = 0.01;
     const DEVIATIONS: f64 = 3.0;
@@ -492,7 +494,7 @@ fn hide_behind(surface: &[Option<SurfacePoint>], camera: &Camera, gaussians: &mu
     }
 }
 
-/// Checks that a picture shows `background` where its mask is empty: it is replaced there by other colours.
+/// Checks that a picture shows `background` where its mask is empty, since training replaces that colour.
 fn check_background(capture: &Capture, view: &CaptureView, background: [f32; 3]) -> Result<(), FileError> {
     const APART: f64 = 0.1;
     // A picture that cannot be read stops the step that needs it.
@@ -511,7 +513,9 @@ fn check_background(capture: &Capture, view: &CaptureView, background: [f32; 3])
     if shown.iter().zip(background).all(|(shown, given)| (shown - f64::from(given)).abs() < APART) {
         return Ok(());
     }
-    let expected = format!("{background:?} where the mask is empty, since random_background is set");
+    let expected = format!(
+        "{background:?} outside the mask (or set apply_masks, or set background to the colour in the picture)"
+    );
     let found = format!(
         "[{:.2}, {:.2}, {:.2}]; set apply_masks, or background to that",
         shown[0], shown[1], shown[2]
@@ -558,7 +562,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_behind_the_surface_with_its_rim_is_hidden() {
+    fn gaussians_wholly_behind_the_surface_are_hidden() {
         let camera = Camera::centred(Size::new(100, 100), [100.0; 2]);
         // The left half of the picture, a metre away.
         let near = SurfacePoint { triangle: 0, weights: DVec3::X, depth: 1.0 };

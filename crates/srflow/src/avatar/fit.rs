@@ -350,7 +350,7 @@ impl fmt::Display for Fitted {
         )?;
         writeln!(
             f,
-            "{} landmarks as {} places them, {} missing, {} outliers ({share:.1} %), noise {:.2} px",
+            "{} landmarks ({}), {} missing, {} outliers ({share:.1} %), noise {:.2} px",
             report.landmarks, report.detector, report.missing, report.outliers, report.noise
         )?;
         for camera in &report.cameras {

@@ -78,12 +78,11 @@ impl Problem<'_> {
             let noise = self.anneal(&mut heads, &window);
             tried.push((detector, heads, noise));
         }
-        // Compared with the same noise, and with what wide priors cost.
+        // Compared with the same noise.
         let noise = tried.iter().fold(0.0, |most: f64, (.., noise)| most.max(*noise));
         let mut cost = |(detector, heads, _): &(Detector, Heads, f64)| {
             self.expect(*detector);
-            let widths: f64 = self.unexpected(heads).map(|(_, deviation)| deviation.ln()).sum();
-            self.linearise(heads, &window, noise, None).1 + 2.0 * widths
+            self.linearise(heads, &window, noise, None).1
         };
         let costs: Vec<f64> = tried.iter().map(&mut cost).collect();
         let (_, (detector, heads, noise)) =

@@ -281,7 +281,7 @@ impl<'a> Problem<'a> {
     }
 
     /// How far the offsets are from where they are expected, and the deviation of that, along each axis.
-    pub fn unexpected(&self, heads: &Heads) -> impl Iterator<Item = (f64, f64)> {
+    fn unexpected(&self, heads: &Heads) -> impl Iterator<Item = (f64, f64)> {
         heads.offsets.iter().zip(&self.expected_offsets).flat_map(|(offset, expected)| {
             let deviation = expected.deviation * self.offset_factor;
             (*offset - expected.mean).to_array().into_iter().zip(deviation.to_array())

@@ -19,4 +19,4 @@ pub use binding::{BindingError, BoundGaussians, BoundGradients};
 pub use files::AvatarFiles;
 pub use head_source::HeadSource;
 pub use similarity::Similarity;
-pub use surface::{SurfacePoint, visible_surface};
+pub use surface::{SEEN_THROUGH_METRES, SurfacePoint, visible_surface};

@@ -58,6 +58,17 @@ pub fn visible_surface(
     points
 }
 
+/// An avatar this far behind the true surface is seen through it, metres: more than the depths of hair differ.
+pub const SEEN_THROUGH_METRES: f64 = 0.01;
+
+/// Whether the surface that [`visible_surface`] found in a picture of this size is nearer than a depth at a pixel.
+pub(crate) fn hides(surface: &[Option<SurfacePoint>], size: Size, pixel: DVec2, depth: f64) -> bool {
+    let Size { width, height } = size;
+    let (x, y) = (pixel.x.round(), pixel.y.round());
+    let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
+    inside && surface[y as usize * width + x as usize].is_some_and(|nearest| nearest.depth < depth)
+}
+
 /// Triangles of the model's surface that hide what is behind them: all but clear ones, such as the cornea.
 pub(crate) fn opaque_triangles(model: &HeadModel) -> Vec<[u32; 3]> {
     let (_, triangles) = model.surface(&model.template);

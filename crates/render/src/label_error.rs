@@ -6,7 +6,7 @@
 
 use serde::Serialize;
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView};
-use srflow_avatar::{Avatar, PosedHead};
+use srflow_avatar::{Avatar, PosedHead, SEEN_THROUGH_METRES};
 use srflow_data::region_map::HeadPart;
 use srflow_head::HeadPose;
 use srflow_splat::{Camera, DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, RasterizeError};
@@ -146,9 +146,6 @@ impl LabelError {
     }
 }
 
-/// How far behind the true surface an avatar is that is seen through it, metres: more than the depths of hair differ.
-const SEEN_THROUGH_METRES: f32 = 0.01;
-
 /// Sums over pairs; [`LabelErrorSum::result`] gives the errors.
 #[derive(Debug, Clone, Default)]
 pub struct LabelErrorSum {
@@ -172,7 +169,7 @@ impl LabelErrorSum {
             let sum = &mut self.parts[part as usize];
             sum.add(shown, truth.flow.pixels()[pixel], avatar.flow.pixels()[pixel]);
             let behind = avatar.depth.pixels()[pixel] - truth.depth.pixels()[pixel];
-            sum.seen_through += u64::from(shown && behind > SEEN_THROUGH_METRES);
+            sum.seen_through += u64::from(shown && behind > SEEN_THROUGH_METRES as f32);
         }
     }
 

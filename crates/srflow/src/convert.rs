@@ -21,10 +21,11 @@ use crate::{Job, Report, Watch};
 /// .png rounds to steps of 1/64 pixel, .png128 of 1/128, .npz16 of 1/256 (more where flow is longer than 128
 /// pixels).
 ///
-/// 3D Gaussians: both formats follow from the extensions: .ply, .splat, .spz or .glb; .ksplat and .sog can only be read. What is upright in IN is
-/// upright in OUT. Between formats with another direction of up, the Gaussians turn by 180 degrees: about the z axis to or from a .glb, as
-/// in splat-transform, else about the x axis, as in Niantic's library for .spz. docs/guides/rasterize.md lists what each format keeps.
-/// `srflow avatar export` writes the Gaussians of a head.
+/// 3D Gaussians: both formats follow from the extensions: .ply, .splat, .spz or .glb; .ksplat and .sog can only be
+/// read. What is upright in IN is upright in OUT. Between formats with another direction of up, the Gaussians turn by
+/// 180 degrees: about the z axis to or from a .glb, as in splat-transform, else about the x axis, as in Niantic's
+/// library for .spz. docs/guides/rasterize.md lists what each format keeps. `srflow avatar export` writes the
+/// Gaussians of a head.
 #[derive(Args, Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[command(after_help = "Examples:
   srflow convert flow.flo5 flow.flo

@@ -65,13 +65,13 @@ impl fmt::Display for Detector {
 }
 
 impl Problem<'_> {
-    /// Fits one timestep with the landmarks of each detector, and goes on with those that fit best. Returns the heads, of which only that
-    /// timestep is fitted, and the noise; `None` when no pose fits.
+    /// Fits one timestep with each detector's offsets and keeps the detector that fits best. Returns the heads (only that timestep is
+    /// fitted) and the noise; `None` when no pose fits.
     pub fn begin(&mut self, first: usize) -> Option<(Heads, f64)> {
         let window = Window::one(first).with_identity();
         let mut tried = Vec::new();
         for detector in Detector::ALL {
-            self.expect(detector);
+            self.detector = detector;
             let mut heads = self.heads();
             let Some(posed) = self.posed(first, &heads.states[first], &heads.offsets) else { continue };
             heads.states[first] = posed;
@@ -80,20 +80,18 @@ impl Problem<'_> {
         }
         // Compared with the same noise.
         let noise = tried.iter().fold(0.0, |most: f64, (.., noise)| most.max(*noise));
-        let mut cost = |(detector, heads, _): &(Detector, Heads, f64)| {
-            self.expect(*detector);
-            self.linearise(heads, &window, noise, None).1
-        };
-        let costs: Vec<f64> = tried.iter().map(&mut cost).collect();
-        let (_, (detector, heads, noise)) =
-            costs.into_iter().zip(tried).min_by(|(one, _), (other, _)| one.total_cmp(other))?;
-        self.expect(detector);
+        let with_costs = tried.into_iter().map(|fitted| {
+            self.detector = fitted.0;
+            (self.linearise(&fitted.1, &window, noise, None).1, fitted)
+        });
+        let (_, (detector, heads, noise)) = with_costs.min_by(|(one, _), (other, _)| one.total_cmp(other))?;
+        self.detector = detector;
         Some((heads, noise))
     }
 
-    fn expect(&mut self, detector: Detector) {
-        self.detector = detector;
-        self.expected_offsets = detector.offsets(self.model, self.options.priors.landmark);
+    /// Where the offsets of landmarks are expected.
+    pub fn expected_offsets(&self) -> [Offset; LANDMARK_COUNT] {
+        self.detector.offsets(self.model, self.options.priors.landmark)
     }
 
     /// The smallest noise that a fit assumes, pixels.

@@ -15,11 +15,12 @@ use srflow_core::dense::{inverse, product};
 use srflow_core::resize::shrink_area;
 use srflow_core::{Image, Plane, Size, median};
 use srflow_files::FileError;
-use srflow_head::{HeadModel, HeadPoints, HeadState, Region, ShapedHead, vertex_normals};
+use srflow_head::{HeadModel, HeadPoints, Region, ShapedHead, vertex_normals};
 use srflow_splat::Camera;
 
 use super::LandmarkView;
 use super::problem::{EYE_CORNERS, Heads, Problem, Projection, Terms, Window};
+use crate::surface::hides;
 use crate::visible_surface;
 
 /// Reads the picture of a view.
@@ -296,8 +297,7 @@ impl Pictures {
                 }
                 let Some((pixel, depth)) = patch.camera.project(position) else { continue };
                 let Some((levels, _)) = patch.sample(pixel) else { continue };
-                let place = pixel.y.round() as usize * patch.camera.width + pixel.x.round() as usize;
-                if nearest[place].is_some_and(|nearest| nearest.depth < depth - hidden) {
+                if hides(&nearest, patch.camera.size(), pixel, depth - hidden) {
                     continue;
                 }
                 let (picture, harmonics) = (first + view, harmonics(normal));
@@ -568,13 +568,6 @@ pub(super) fn skin_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
 }
 
 impl Problem<'_> {
-    /// Pixels between the outer corners of the eyes in each view, as from the front, where a head that is turned away shows less.
-    pub fn corner_pixels(&self, state: &HeadState, views: &[&LandmarkView]) -> Vec<Option<f64>> {
-        let (corner, size) = (self.points.positions(state)[EYE_CORNERS[0]], self.size(state).0);
-        let in_view = |view: &&LandmarkView| Some(view.camera.fx * size / view.camera.project(corner)?.1);
-        views.iter().map(in_view).collect()
-    }
-
     /// Aligns the pictures, and says how well they agree. `progress` gets how many steps of how many are done.
     ///
     /// # Errors

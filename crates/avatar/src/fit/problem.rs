@@ -6,7 +6,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::arrow::{Block, Step, System};
-use super::detectors::{Detector, Offset};
+use super::detectors::Detector;
 use super::initial::candidates;
 use super::pictures::Pictures;
 use super::priors::ranges;
@@ -65,8 +65,6 @@ pub(super) struct Problem<'a> {
     /// How many times less precise each landmark is than the best ones.
     factors: Vec<f64>,
     pub detector: Detector,
-    /// Where the offsets of landmarks are expected.
-    pub expected_offsets: [Offset; LANDMARK_COUNT],
     /// How many times larger than expected their deviations are.
     offset_factor: f64,
     /// Between the outer corners of the eyes, which is the size of the head, and between the pupils.
@@ -206,7 +204,6 @@ impl<'a> Problem<'a> {
             ranges: ranges(model, expressions),
             factors: (0..LANDMARK_COUNT).map(|l| if l < CONTOUR { options.contour } else { 1.0 }).collect(),
             detector: Detector::Dlib,
-            expected_offsets: Detector::Dlib.offsets(model, options.priors.landmark),
             offset_factor: 1.0,
         }
     }
@@ -282,7 +279,7 @@ impl<'a> Problem<'a> {
 
     /// How far the offsets are from where they are expected, and the deviation of that, along each axis.
     fn unexpected(&self, heads: &Heads) -> impl Iterator<Item = (f64, f64)> {
-        heads.offsets.iter().zip(&self.expected_offsets).flat_map(|(offset, expected)| {
+        heads.offsets.iter().zip(self.expected_offsets()).flat_map(|(offset, expected)| {
             let deviation = expected.deviation * self.offset_factor;
             (*offset - expected.mean).to_array().into_iter().zip(deviation.to_array())
         })
@@ -291,6 +288,13 @@ impl<'a> Problem<'a> {
     /// Size of the head, metres, and how it grows with each identity weight.
     pub fn size(&self, state: &HeadState) -> (f64, Vec<f64>) {
         self.corners.of(&state.identity)
+    }
+
+    /// Pixels between the outer corners of the eyes in each view, as from the front, where a head that is turned away shows less.
+    pub fn corner_pixels(&self, state: &HeadState, views: &[&LandmarkView]) -> Vec<Option<f64>> {
+        let (corner, size) = (self.points.positions(state)[EYE_CORNERS[0]], self.size(state).0);
+        let in_view = |view: &&LandmarkView| Some(view.camera.fx * size / view.camera.project(corner)?.1);
+        views.iter().map(in_view).collect()
     }
 
     /// The head at rest with the identity of all timesteps.
@@ -304,7 +308,7 @@ impl<'a> Problem<'a> {
         Heads {
             first: 0,
             states: vec![rest(self.model, self.identities, self.expressions); self.timesteps.len()],
-            offsets: self.expected_offsets.iter().map(|offset| offset.mean).collect(),
+            offsets: self.expected_offsets().iter().map(|offset| offset.mean).collect(),
         }
     }
 

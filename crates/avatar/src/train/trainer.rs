@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec2;
 use srflow_core::random::Key;
-use srflow_core::{Image, Size, median};
+use srflow_core::{Image, median};
 use srflow_files::{FileError, FileProblem};
 use srflow_splat::{
     Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Options, RasterizeError, Rasterizer,
@@ -20,8 +20,10 @@ use super::{
     initial_gaussians, scene_extent,
 };
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
-use crate::surface::opaque_triangles;
-use crate::{Avatar, AvatarError, BoundGradients, PosedHead, SurfacePoint, visible_surface};
+use crate::surface::{hides, opaque_triangles};
+use crate::{
+    Avatar, AvatarError, BoundGradients, PosedHead, SEEN_THROUGH_METRES, SurfacePoint, visible_surface,
+};
 use srflow_head::{HeadGradient, HeadModel, HeadParameters, HeadPose, PoseParameters, TriangleFrame};
 
 /// Why an avatar could not be trained or scored.
@@ -81,6 +83,8 @@ pub struct Trainer {
     extent: f64,
     /// Metres per local unit of each triangle, of the head at rest.
     units_at_rest: Vec<f32>,
+    /// Triangles that hide what is behind them, with [`TrainConfig::opaque_mesh`].
+    opaque: Vec<[u32; 3]>,
     buffers: Buffers,
 }
 
@@ -138,6 +142,7 @@ impl Trainer {
         buffers.loss.ssim_weight = config.ssim_weight;
         Ok(Self {
             units_at_rest: model.triangles.iter().map(unit).collect(),
+            opaque: if config.opaque_mesh { opaque_triangles(model) } else { Vec::new() },
             poses: parameters.poses.iter().map(|pose| pose.pose(model)).collect(),
             extent: if config.faithful {
                 camera_extent(cameras.map(|(camera, _)| camera))
@@ -247,8 +252,8 @@ impl Trainer {
         avatar.gaussians_into(pose, &mut buffers.head, &mut buffers.world);
         if config.opaque_mesh {
             let (surface, _) = avatar.model().surface(buffers.head.vertices());
-            let triangles = opaque_triangles(avatar.model());
-            hide_behind(&visible_surface(surface, &triangles, &camera), &camera, &mut buffers.world);
+            let surface = visible_surface(surface, &self.opaque, &camera);
+            hide_behind(&surface, &camera, &mut buffers.world);
         }
         let cannot = |error| TrainError::Render { image: view.image.clone(), error };
         let Buffers { rasterizer, frame, world, loss, .. } = buffers;
@@ -468,18 +473,11 @@ fn older_fingerprint(views: &[CaptureView], parameters: &HeadParameters) -> Stri
     format!("{:08x}", hasher.finalize())
 }
 
-/// Hides the Gaussians that lie wholly behind the surface, of which each pixel has the nearest point.
+/// Hides the Gaussians that lie wholly behind the surface. `surface` has the nearest point at each pixel.
 fn hide_behind(surface: &[Option<SurfacePoint>], camera: &Camera, gaussians: &mut Gaussians) {
-    const BEHIND_METRES: f64 = 0.01;
     const DEVIATIONS: f64 = 3.0;
-    let Size { width, height } = camera.size();
-    let is_behind = |at: DVec2, depth: f64| {
-        let inside = |at: f64, side: usize| at.round() >= 0.0 && at.round() < side as f64;
-        inside(at.x, width)
-            && inside(at.y, height)
-            && surface[at.y.round() as usize * width + at.x.round() as usize]
-                .is_some_and(|nearest| depth > nearest.depth + BEHIND_METRES)
-    };
+    let size = camera.size();
+    let is_behind = |at: DVec2, depth: f64| hides(surface, size, at, depth - SEEN_THROUGH_METRES);
     let diagonal = DVec2::splat(FRAC_1_SQRT_2);
     let directions = [DVec2::X, diagonal].map(|at| [at, at.perp(), -at, -at.perp()]);
     let Gaussians { positions, scales, opacities, .. } = gaussians;
@@ -516,10 +514,7 @@ fn check_background(capture: &Capture, view: &CaptureView, background: [f32; 3])
     let expected = format!(
         "{background:?} outside the mask (or set apply_masks, or set background to the colour in the picture)"
     );
-    let found = format!(
-        "[{:.2}, {:.2}, {:.2}]; set apply_masks, or background to that",
-        shown[0], shown[1], shown[2]
-    );
+    let found = format!("[{:.2}, {:.2}, {:.2}]", shown[0], shown[1], shown[2]);
     Err(FileProblem::field("background", expected, found).in_file(&capture.dir().join(&view.image)))
 }
 
@@ -558,6 +553,7 @@ pub(super) fn picture(
 #[cfg(test)]
 mod tests {
     use glam::{DVec3, Vec3};
+    use srflow_core::Size;
 
     use super::*;
 

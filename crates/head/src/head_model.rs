@@ -10,7 +10,9 @@ mod skeleton;
 mod texture;
 mod validation;
 
-pub use derivative::{HeadGradient, HeadPoints, HeadState, PointDerivatives, rotation_of_axis_angle};
+pub use derivative::{
+    HeadGradient, HeadPoints, HeadState, LinearisedPoints, PointDerivatives, rotation_of_axis_angle,
+};
 pub use shape::{Offsets, PoseCorrective, Shape};
 pub use skeleton::{Joint, JointRole, Skinning};
 pub use texture::TextureMap;

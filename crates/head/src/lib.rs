@@ -38,8 +38,8 @@ pub use dress::{Crease, Dress, Shading, ShadingFacts, ShadingTables, Splat, dres
 pub use error::HeadError;
 pub use head_model::{
     ActionUnit, HeadGradient, HeadModel, HeadModelError, HeadPoints, HeadPose, HeadState, Joint, JointRole,
-    Offsets, PointDerivatives, PoseCorrective, Region, Shape, ShapedHead, Side, Skinning, TextureMap,
-    rotation_of_axis_angle,
+    LinearisedPoints, Offsets, PointDerivatives, PoseCorrective, Region, Shape, ShapedHead, Side, Skinning,
+    TextureMap, rotation_of_axis_angle,
 };
 pub use look::Look;
 pub use mesh::{MeshFormat, MeshMotion, add_mesh, vertex_normals, write_mesh};

@@ -30,8 +30,9 @@ impl Pictures {
     /// expression is as unusual, but alone. `None` if it would be so in most pictures, since it is then unknown how the face looks.
     pub(super) fn leave_out_hidden(&mut self, problem: &Problem, heads: &Heads) -> Option<Vec<HiddenView>> {
         let (places, seen): (Vec<[usize; 2]>, Vec<Differences>) = self.differences(heads).into_iter().unzip();
+        let of_face = &self.vertices[..self.of_face];
         let positions: Vec<Vec3> =
-            self.vertices.iter().map(|vertex| problem.model.template[*vertex as usize]).collect();
+            of_face.iter().map(|vertex| problem.model.template[*vertex as usize]).collect();
         let reach = NEIGHBOURS * problem.corners.mean.length();
         let unlike: Vec<[usize; 2]> =
             unlike(&positions, reach, self.noise, &seen).into_iter().map(|picture| places[picture]).collect();
@@ -54,7 +55,7 @@ impl Pictures {
     }
 }
 
-/// The numbers of the pictures in which a face of these points is unlike the others. Neighbours are at most `reach` apart; `noise` is that
+/// The numbers of the pictures in which a face of these points, the first of those in the pictures, is unlike the others. Neighbours are at most `reach` apart; `noise` is that
 /// of the differences.
 fn unlike(points: &[Vec3], reach: f64, noise: f64, pictures: &[Differences]) -> Vec<usize> {
     let neighbours: Vec<Vec<usize>> = points

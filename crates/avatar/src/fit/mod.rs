@@ -12,6 +12,7 @@ mod detectors;
 mod gaze;
 mod hidden;
 mod initial;
+mod landmarks;
 mod pictures;
 mod priors;
 mod problem;

@@ -15,7 +15,7 @@ use srflow_core::dense::{inverse, product};
 use srflow_core::resize::shrink_area;
 use srflow_core::{Image, Plane, Size, median};
 use srflow_files::FileError;
-use srflow_head::{HeadModel, HeadPoints, Region, ShapedHead, vertex_normals};
+use srflow_head::{HeadModel, HeadPoints, JointRole, Region, ShapedHead, vertex_normals};
 use srflow_splat::Camera;
 
 use super::LandmarkView;
@@ -102,8 +102,10 @@ type Expected = Vec<Option<[f64; 3]>>;
 pub(super) type Differences = Vec<Option<[f64; 3]>>;
 
 pub(super) struct Pictures {
-    /// Vertices of the model.
+    /// Vertices of the model: those of the face, then those of the neck.
     pub vertices: Vec<u32>,
+    /// How many of them are of the face.
+    pub of_face: usize,
     points: HeadPoints,
     /// Of each view of each timestep, at the finest level; `None` where the face is not in the picture.
     finest: Vec<Vec<Option<Patch>>>,
@@ -191,7 +193,10 @@ impl Pictures {
     /// # Errors
     /// When a picture cannot be read.
     pub fn read(problem: &Problem, heads: &Heads, read: ReadPicture) -> Result<Self, FileError> {
-        let vertices = skin_points(problem.model, SPACING * problem.corners.mean.length());
+        let spacing = SPACING * problem.corners.mean.length();
+        let mut vertices = face_points(problem.model, spacing);
+        let of_face = vertices.len();
+        vertices.extend(neck_points(problem.model, spacing));
         let points = HeadPoints::vertices(problem.model, vertices.iter().copied());
         let patches = |(timestep, views): (usize, &Vec<&LandmarkView>)| {
             let positions = points.positions(heads.state(timestep));
@@ -207,6 +212,7 @@ impl Pictures {
         let finest = problem.views.par_iter().enumerate().map(patches).collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
             vertices,
+            of_face,
             points,
             finest,
             level: 0.0,
@@ -343,8 +349,7 @@ impl Pictures {
     pub fn add(&self, problem: &Problem, heads: &Heads, timestep: usize, terms: &mut Terms) {
         let Some(expected) = self.expected.get(timestep) else { return };
         let state = heads.state(timestep);
-        let derivatives = self.points.derivatives(state);
-        let all = self.points.columns();
+        let linearised = self.points.linearised(state);
         let columns = problem.own_columns();
         let n = columns.len();
         let limit = problem.options.outlier * problem.options.outlier;
@@ -355,7 +360,8 @@ impl Pictures {
             let Some(patch) = patch else { continue };
             for (point, expected) in expected.iter().enumerate() {
                 let Some(expected) = expected else { continue };
-                let projection = Projection::of(&patch.camera, derivatives.positions[point]);
+                let (position, values) = linearised.point(point);
+                let projection = Projection::of(&patch.camera, position);
                 let sampled = projection.as_ref().and_then(|at| Some((at, patch.sample(at.pixel)?)));
                 let Some((projection, (levels, slopes))) = sampled else {
                     terms.cost += INDEPENDENT * limit;
@@ -381,7 +387,6 @@ impl Pictures {
                 }
                 let both = information[1] / across;
                 let down = (information[2] - both * both).max(0.0).sqrt();
-                let values = &derivatives.values[point * all..][..all];
                 let start = rows.len();
                 rows.resize(start + 2 * n, 0.0);
                 let (first, second) = rows[start..].split_at_mut(n);
@@ -544,24 +549,39 @@ fn harmonics(DVec3 { x, y, z }: DVec3) -> [f64; HARMONICS] {
 }
 
 /// Vertices of the face's skin, one in each cell of this side, metres.
-pub(super) fn skin_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
+pub(super) fn face_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
     let landmarks: Vec<Vec3> = model.landmarks_on(&model.template).collect();
     // In front of the ears, and below the hair of most people.
     let behind = landmarks[0].z.min(landmarks[16].z);
     let brows = landmarks[19].y.max(landmarks[24].y);
     let top = brows + 0.6 * landmarks[EYE_CORNERS[0]].distance(landmarks[EYE_CORNERS[1]]);
-    let facial =
-        |region: &Region| matches!(region, Region::Skin | Region::Brow | Region::Lips | Region::LidMargin);
-    let mut on_face = vec![false; model.template.len()];
+    let facial = [Region::Skin, Region::Brow, Region::Lips, Region::LidMargin];
+    vertices_of(model, &facial, spacing, |at| at.z >= behind && at.y <= top)
+}
+
+/// Vertices of neck and shoulders in the same way, if the head turns on them: without a joint, they would move with the head.
+pub(super) fn neck_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
+    let turns = model.joint(JointRole::Neck).is_some();
+    vertices_of(model, &[Region::Neck], spacing, |_| turns)
+}
+
+/// Vertices of regions where `inside` holds at rest, one in each cell of this side, metres.
+fn vertices_of(
+    model: &HeadModel,
+    regions: &[Region],
+    spacing: f64,
+    inside: impl Fn(&Vec3) -> bool,
+) -> Vec<u32> {
+    let mut of_regions = vec![false; model.template.len()];
     // Carriers of an avatar's own Gaussians are no skin.
     let (_, surface) = model.surface(&model.template);
-    for (triangle, _) in surface.iter().zip(&model.regions).filter(|(_, region)| facial(region)) {
-        triangle.iter().for_each(|vertex| on_face[*vertex as usize] = true);
+    for (triangle, _) in surface.iter().zip(&model.regions).filter(|(_, region)| regions.contains(region)) {
+        triangle.iter().for_each(|vertex| of_regions[*vertex as usize] = true);
     }
     let mut taken = HashSet::new();
     let is_chosen = |(vertex, at): (usize, &Vec3)| {
-        let inside = on_face[vertex] && at.z >= behind && at.y <= top;
-        let is_first = inside && taken.insert((*at / spacing as f32).floor().as_ivec3());
+        let is_first =
+            of_regions[vertex] && inside(at) && taken.insert((*at / spacing as f32).floor().as_ivec3());
         is_first.then_some(vertex as u32)
     };
     model.template.iter().enumerate().filter_map(is_chosen).collect()

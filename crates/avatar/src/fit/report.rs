@@ -4,8 +4,9 @@ use glam::DVec3;
 use serde::Serialize;
 
 use super::detectors::Detector;
+use super::landmarks::landmarks_in;
 use super::pictures::PictureFit;
-use super::problem::{EYE_CORNERS, Heads, Problem, Window, landmarks_in};
+use super::problem::{EYE_CORNERS, Heads, Problem, Window};
 use crate::capture::LANDMARK_COUNT;
 use srflow_core::dense::{inverse, product, subtract_transposed_product};
 use srflow_core::median;

@@ -12,7 +12,7 @@ mod tests;
 use glam::{DMat3, DQuat, DVec3};
 
 pub use backward::HeadGradient;
-pub use points::{HeadPoints, HeadState, PointDerivatives};
+pub use points::{HeadPoints, HeadState, LinearisedPoints, PointDerivatives};
 
 /// The small rotation w that follows from a small change of `r` in `R = exp(r)`: the matrix J in `exp(r + d) = exp(J d) exp(r)`
 /// to first order in d (left Jacobian of SO(3)). The gradient with respect to `r` is `J^T` times the one with respect to w.

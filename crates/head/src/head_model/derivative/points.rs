@@ -246,22 +246,22 @@ impl HeadPoints {
 
     /// Where the points are, and how they move with every parameter.
     pub fn derivatives(&self, state: &HeadState) -> PointDerivatives {
-        let columns = self.columns();
-        let (weights, joints) = self.posed(state);
-        let carried = self.carried_joints(&weights, &joints);
-        let vertices: Vec<(DVec3, Vec<DVec3>)> =
-            self.vertices.iter().map(|vertex| self.vertex(vertex, &weights, &joints, &carried)).collect();
-        let mut positions = Vec::with_capacity(self.points.len());
-        let mut values = vec![DVec3::ZERO; self.points.len() * columns];
-        for (corners, row) in self.points.iter().zip(values.chunks_exact_mut(columns)) {
-            positions.push(corners.iter().map(|&(vertex, weight)| vertices[vertex].0 * weight).sum());
-            for &(vertex, weight) in corners {
-                for (sum, value) in row.iter_mut().zip(&vertices[vertex].1) {
-                    *sum += *value * weight;
-                }
-            }
+        let linearised = self.linearised(state);
+        let mut positions = Vec::with_capacity(self.len());
+        let mut values = Vec::with_capacity(self.len() * self.columns());
+        for point in 0..self.len() {
+            let (position, row) = linearised.point(point);
+            positions.push(position);
+            values.extend(row);
         }
         PointDerivatives { positions, values }
+    }
+
+    /// The points at a state, whose derivatives are asked for one by one.
+    pub fn linearised(&self, state: &HeadState) -> LinearisedPoints<'_> {
+        let (weights, joints) = self.posed(state);
+        let carried = self.carried_joints(&weights, &joints);
+        LinearisedPoints { points: self, weights, joints, carried }
     }
 
     fn posed(&self, state: &HeadState) -> (Vec<Weight>, Vec<PosedJoint>) {
@@ -290,19 +290,39 @@ impl HeadPoints {
         }
         carried
     }
+}
+
+/// Points at one state of the head, for derivatives of some of them: those of thousands take a hundred megabytes.
+pub struct LinearisedPoints<'a> {
+    points: &'a HeadPoints,
+    weights: Vec<Weight>,
+    joints: Vec<PosedJoint>,
+    carried: Vec<Vec<DVec3>>,
+}
+
+impl LinearisedPoints<'_> {
+    /// Where a point is, metres, and how it moves with every parameter: a row of [`PointDerivatives::values`].
+    pub fn point(&self, point: usize) -> (DVec3, Vec<DVec3>) {
+        let HeadPoints { vertices, points, .. } = self.points;
+        if let [(vertex, 1.0)] = points[point][..] {
+            return self.vertex(&vertices[vertex]);
+        }
+        let mut sum = (DVec3::ZERO, vec![DVec3::ZERO; self.points.columns()]);
+        for &(vertex, weight) in &points[point] {
+            let (position, row) = self.vertex(&vertices[vertex]);
+            sum.0 += position * weight;
+            sum.1.iter_mut().zip(row).for_each(|(sum, value)| *sum += value * weight);
+        }
+        sum
+    }
 
     /// Position and derivatives of one vertex.
-    fn vertex(
-        &self,
-        vertex: &Vertex,
-        weights: &[Weight],
-        joints: &[PosedJoint],
-        carried: &[Vec<DVec3>],
-    ) -> (DVec3, Vec<DVec3>) {
-        let rest = vertex.corrected(weights, &self.correctives, joints);
+    fn vertex(&self, vertex: &Vertex) -> (DVec3, Vec<DVec3>) {
+        let Self { points, weights, joints, carried } = self;
+        let rest = vertex.corrected(weights, &points.correctives, joints);
         let mut position = DVec3::ZERO;
         let mut skin = DMat3::ZERO;
-        let mut row = vec![DVec3::ZERO; self.columns()];
+        let mut row = vec![DVec3::ZERO; points.columns()];
         let (of_shapes, of_pose) = row.split_at_mut(weights.len());
         let (of_joints, of_translation) = of_pose.split_at_mut(3 * joints.len());
         for &(joint, weight) in &vertex.skinning {
@@ -319,13 +339,13 @@ impl HeadPoints {
                 for axis in 0..3 {
                     of_joints[3 * joint + axis] += parent_rotation.col(axis).cross(arm);
                 }
-                moved_by = self.joints[joint].parent;
+                moved_by = points.joints[joint].parent;
             }
         }
         for (shape, (sum, weight)) in of_shapes.iter_mut().zip(weights).enumerate() {
             *sum += skin * vertex.rest.derivative(shape, weight);
         }
-        for (&joint, entries) in self.correctives.iter().zip(&vertex.correctives) {
+        for (&joint, entries) in points.correctives.iter().zip(&vertex.correctives) {
             for (axis, slopes) in entry_derivatives(joints[joint].local).into_iter().enumerate() {
                 let moved: DVec3 = entries.iter().zip(slopes).map(|(entry, slope)| *entry * slope).sum();
                 of_joints[3 * joint + axis] += skin * moved;

@@ -34,8 +34,10 @@ impl Pictures {
         let positions: Vec<Vec3> =
             of_face.iter().map(|vertex| problem.model.template[*vertex as usize]).collect();
         let reach = NEIGHBOURS * problem.corners.mean.length();
-        let unlike: Vec<[usize; 2]> =
-            unlike(&positions, reach, self.noise, &seen).into_iter().map(|picture| places[picture]).collect();
+        let unlike: Vec<[usize; 2]> = unlike(&positions, reach, self.noise[0], &seen)
+            .into_iter()
+            .map(|picture| places[picture])
+            .collect();
         let camera = |[timestep, view]: [usize; 2]| problem.views[timestep][view].camera_index;
         let stays = |place: &&[usize; 2]| {
             let follows =

@@ -1,4 +1,4 @@
-//! Alignment of pictures with each other: photometric bundle adjustment over points of the skin.
+//! Alignment of pictures with each other: photometric bundle adjustment over points of face and neck.
 //!
 //! A point of the skin has one colour. In a picture it is changed by the light, which depends on the point's normal, and by the
 //! exposure. In each channel, `ln level = colour + light(normal) + exposure`, where the light is a spherical harmonic function up to
@@ -29,9 +29,10 @@ pub type ReadPicture<'a> = &'a (dyn Fn(&LandmarkView) -> Result<Image, FileError
 /// How well the pictures agree with each other.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PictureFit {
-    /// Points of the skin.
+    /// Points of face and neck.
     pub points: usize,
-    /// Standard deviation of their levels from what is expected, as a share of the level, with the fit to the landmarks alone.
+    /// Standard deviation of the levels of those of the face from what is expected, as a share of the level, with the fit to the landmarks
+    /// alone.
     pub noise_before: f64,
     /// The same after alignment.
     pub noise: f64,
@@ -114,8 +115,8 @@ pub(super) struct Pictures {
     /// Those of this level.
     patches: Vec<Vec<Option<Patch>>>,
     expected: Vec<Vec<Expected>>,
-    /// Standard deviation of the levels from what is expected.
-    pub noise: f64,
+    /// Standard deviation of the levels from what is expected: on the face, and on the neck, where hair and clothes may be.
+    pub noise: [f64; 2],
 }
 
 /// A point in a picture.
@@ -218,8 +219,13 @@ impl Pictures {
             level: 0.0,
             patches: Vec::new(),
             expected: Vec::new(),
-            noise: LEAST_NOISE,
+            noise: [LEAST_NOISE; 2],
         })
+    }
+
+    /// Standard deviation of the levels of a point.
+    fn noise_of(&self, point: usize) -> f64 {
+        self.noise[usize::from(point >= self.of_face)]
     }
 
     /// Those of a timestep, at the finest level.
@@ -259,13 +265,18 @@ impl Pictures {
         let mut look = Look::new(self.points.len(), picture);
         for _ in 0..4 {
             look.fit(&observations);
-            let distances: Vec<f64> = observations.iter().map(|seen| look.distance(seen)).collect();
-            if !distances.is_empty() {
-                self.noise = (median(distances.iter().copied()) / MEDIAN_DISTANCE).max(LEAST_NOISE);
+            for (part, noise) in self.noise.iter_mut().enumerate() {
+                let inside = |seen: &Observation| usize::from(seen.point >= self.of_face) == part;
+                let distances: Vec<f64> =
+                    observations.iter().filter(|seen| inside(seen)).map(|seen| look.distance(seen)).collect();
+                if !distances.is_empty() {
+                    *noise = (median(distances) / MEDIAN_DISTANCE).max(LEAST_NOISE);
+                }
             }
-            for (seen, distance) in observations.iter_mut().zip(distances) {
-                let square = (distance / (problem.options.outlier * self.noise)).powi(2);
-                seen.weight = (1.0 + square).powi(-2);
+            for seen in &mut observations {
+                let noise = self.noise_of(seen.point);
+                let square = (look.distance(seen) / (problem.options.outlier * noise)).powi(2);
+                seen.weight = (self.noise[0] / noise).powi(2) * (1.0 + square).powi(-2);
             }
         }
         let unseen = vec![None; self.points.len()];
@@ -353,7 +364,6 @@ impl Pictures {
         let columns = problem.own_columns();
         let n = columns.len();
         let limit = problem.options.outlier * problem.options.outlier;
-        let precision = INDEPENDENT * self.noise.powi(-2);
         let mut gradient = vec![0.0; n];
         let mut rows: Vec<f64> = Vec::new();
         for (patch, expected) in self.patches[timestep].iter().zip(expected) {
@@ -368,11 +378,11 @@ impl Pictures {
                     continue;
                 };
                 let residuals: [f64; 3] = std::array::from_fn(|channel| levels[channel] - expected[channel]);
-                let square: f64 =
-                    residuals.iter().map(|residual| residual * residual).sum::<f64>() / self.noise.powi(2);
+                let precision = self.noise_of(point).powi(-2);
+                let square = residuals.iter().map(|residual| residual * residual).sum::<f64>() * precision;
                 let softened = 1.0 + square / limit;
                 terms.cost += INDEPENDENT * square / softened;
-                let weight = precision / (softened * softened);
+                let weight = INDEPENDENT * precision / (softened * softened);
                 let (mut pull, mut information) = (DVec2::ZERO, [0.0; 3]);
                 for (residual, slope) in residuals.iter().zip(slopes) {
                     pull += slope * (weight * residual);
@@ -604,7 +614,7 @@ impl Problem<'_> {
         let mut pictures = Pictures::read(self, heads, read)?;
         let [.., finest] = LEVELS;
         pictures.look(self, heads, finest);
-        let before = pictures.noise;
+        let [before, _] = pictures.noise;
         let hidden = pictures.leave_out_hidden(self, heads);
         let rounds = LEVELS.iter().flat_map(|level| [*level; ROUNDS]);
         for (done, level) in rounds.enumerate() {
@@ -614,7 +624,7 @@ impl Problem<'_> {
         }
         pictures.look(self, heads, finest);
         let gazes = self.turn_eyes(heads, &pictures);
-        let (points, noise) = (pictures.points.len(), pictures.noise);
-        Ok(PictureFit { points, noise_before: before, noise, gazes, hidden })
+        let [noise, _] = pictures.noise;
+        Ok(PictureFit { points: pictures.points.len(), noise_before: before, noise, gazes, hidden })
     }
 }

@@ -70,7 +70,7 @@ fn a_captured_head_is_found_and_written_as_a_capture() {
     let text =
         succeeds(&fit(folder, &[&PERSON[..], &["--force", "--cameras", "8", "--photometric"]].concat()));
     assert!(text.contains("pictures: 3, cameras: 1;") && text.contains("One camera sees no scale"), "{text}");
-    assert!(text.contains("points of the skin differ by"), "{text}");
+    assert!(text.contains("colours of the face differ by"), "{text}");
     fs::remove_file(folder.join("capture/images/00001_08.png")).unwrap();
     let gone = fit(folder, &[&PERSON[..], &["--force", "--photometric"]].concat());
     refuses(&gone, 1, &["images/00001_08.png"]);

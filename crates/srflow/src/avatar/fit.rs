@@ -379,7 +379,7 @@ impl fmt::Display for Fitted {
             let [before, after] = [noise_before, noise].map(|noise| 100.0 * noise);
             writeln!(
                 f,
-                "Colours of {points} points of the skin differ by {after:.1} %, {before:.1} % by the landmarks alone; irises found at {gazes} of {timesteps} timesteps"
+                "Aligned {points} points of face and neck: colours of the face differ by {after:.1} %, {before:.1} % by the landmarks alone; irises found at {gazes} of {timesteps} timesteps"
             )?;
             if let Some(hidden) = hidden.as_ref().filter(|hidden| !hidden.is_empty()) {
                 let names = hidden.iter().map(|view| picture_name(view.timestep, view.camera_index));

@@ -1,6 +1,7 @@
 //! What a camera sees of a mesh.
 
 use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
 use srflow_core::Size;
 use srflow_head::{HeadModel, Region};
 use srflow_splat::Camera;
@@ -21,53 +22,91 @@ pub fn visible_surface(
     triangles: &[[u32; 3]],
     camera: &Camera,
 ) -> Vec<Option<SurfacePoint>> {
+    let mut points = vec![None; camera.width * camera.height];
+    let draw = |point: &mut Option<SurfacePoint>, triangle, by_depth: DVec3, depth| {
+        if point.is_none_or(|nearest: SurfacePoint| depth < nearest.depth) {
+            *point = Some(SurfacePoint { triangle, weights: by_depth * depth, depth });
+        }
+    };
+    rasterize(vertices, triangles, camera, &mut points, draw);
+    points
+}
+
+/// How far away a surface is at each pixel.
+pub(crate) struct Depths {
+    size: Size,
+    /// Along the camera's axis, row by row; infinite where there is no surface.
+    nearest: Vec<f64>,
+}
+
+impl Depths {
+    /// Of what a camera sees of a mesh.
+    pub fn of(vertices: &[Vec3], triangles: &[[u32; 3]], camera: &Camera) -> Self {
+        let size = camera.size();
+        let mut nearest = vec![f64::INFINITY; size.width * size.height];
+        let draw = |nearest: &mut f64, _, _, depth: f64| *nearest = nearest.min(depth);
+        rasterize(vertices, triangles, camera, &mut nearest, draw);
+        Self { size, nearest }
+    }
+
+    /// Whether the surface is nearer than a depth at a pixel.
+    pub fn hides(&self, pixel: DVec2, depth: f64) -> bool {
+        let Size { width, height } = self.size;
+        let (x, y) = (pixel.x.round(), pixel.y.round());
+        let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
+        inside && self.nearest[y as usize * width + x as usize] < depth
+    }
+}
+
+/// Calls `draw` for all pixels of all triangles, with the value of the pixel, the number of the triangle, the weights of its corners
+/// divided by the depth, and the depth. The triangles come in order at each pixel.
+fn rasterize<T: Send>(
+    vertices: &[Vec3],
+    triangles: &[[u32; 3]],
+    camera: &Camera,
+    pixels: &mut [T],
+    draw: impl Fn(&mut T, usize, DVec3, f64) + Sync,
+) {
+    const ROWS: usize = 64;
     let Size { width, height } = camera.size();
-    let mut points: Vec<Option<SurfacePoint>> = vec![None; width * height];
     let seen: Vec<Option<(DVec2, f64)>> =
         vertices.iter().map(|vertex| camera.project(vertex.as_dvec3())).collect();
-    for (number, triangle) in triangles.iter().enumerate() {
-        let [Some((a, da)), Some((b, db)), Some((c, dc))] = triangle.map(|v| seen[v as usize]) else {
-            continue;
-        };
-        let area = (b - a).perp_dot(c - a);
-        if area == 0.0 || !area.is_finite() {
-            continue;
-        }
-        let range = |axis: usize, side: usize| {
-            let low = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0);
-            let high = a[axis].max(b[axis]).max(c[axis]).floor().min(side as f64 - 1.0);
-            low as usize..if high < low { low as usize } else { high as usize + 1 }
-        };
-        for y in range(1, height) {
-            for x in range(0, width) {
-                let at = DVec2::new(x as f64, y as f64);
-                let [of_b, of_c] = [(at - a).perp_dot(c - a) / area, (b - a).perp_dot(at - a) / area];
-                if of_b < 0.0 || of_c < 0.0 || of_b + of_c > 1.0 {
-                    continue;
-                }
-                // On the surface the weights are those in the picture, each by its corner's depth.
-                let by_depth = DVec3::new((1.0 - of_b - of_c) / da, of_b / db, of_c / dc);
-                let depth = 1.0 / by_depth.element_sum();
-                let nearest = &mut points[y * width + x];
-                if nearest.is_none_or(|nearest| depth < nearest.depth) {
-                    *nearest = Some(SurfacePoint { triangle: number, weights: by_depth * depth, depth });
+    let strip = |(strip, pixels): (usize, &mut [T])| {
+        let top = strip * ROWS;
+        for (number, triangle) in triangles.iter().enumerate() {
+            let [Some((a, da)), Some((b, db)), Some((c, dc))] = triangle.map(|v| seen[v as usize]) else {
+                continue;
+            };
+            let range = |axis: usize, from: usize, side: usize| {
+                let low = a[axis].min(b[axis]).min(c[axis]).ceil().max(from as f64);
+                let high = a[axis].max(b[axis]).max(c[axis]).floor().min(side as f64 - 1.0);
+                low as usize..if high < low { low as usize } else { high as usize + 1 }
+            };
+            let rows = range(1, top, height.min(top + ROWS));
+            let area = (b - a).perp_dot(c - a);
+            if rows.is_empty() || area == 0.0 || !area.is_finite() {
+                continue;
+            }
+            for y in rows {
+                for x in range(0, 0, width) {
+                    let at = DVec2::new(x as f64, y as f64);
+                    let [of_b, of_c] = [(at - a).perp_dot(c - a) / area, (b - a).perp_dot(at - a) / area];
+                    if of_b < 0.0 || of_c < 0.0 || of_b + of_c > 1.0 {
+                        continue;
+                    }
+                    // On the surface the weights are those in the picture, each by its corner's depth.
+                    let by_depth = DVec3::new((1.0 - of_b - of_c) / da, of_b / db, of_c / dc);
+                    let depth = 1.0 / by_depth.element_sum();
+                    draw(&mut pixels[(y - top) * width + x], number, by_depth, depth);
                 }
             }
         }
-    }
-    points
+    };
+    pixels.par_chunks_mut((ROWS * width).max(1)).enumerate().for_each(strip);
 }
 
 /// An avatar this far behind the true surface is seen through it, metres: more than the depths of hair differ.
 pub const SEEN_THROUGH_METRES: f64 = 0.01;
-
-/// Whether the surface that [`visible_surface`] found in a picture of this size is nearer than a depth at a pixel.
-pub(crate) fn hides(surface: &[Option<SurfacePoint>], size: Size, pixel: DVec2, depth: f64) -> bool {
-    let Size { width, height } = size;
-    let (x, y) = (pixel.x.round(), pixel.y.round());
-    let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
-    inside && surface[y as usize * width + x as usize].is_some_and(|nearest| nearest.depth < depth)
-}
 
 /// Triangles of the model's surface that hide what is behind them: all but clear ones, such as the cornea.
 pub(crate) fn opaque_triangles(model: &HeadModel) -> Vec<[u32; 3]> {

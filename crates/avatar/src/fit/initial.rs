@@ -5,6 +5,7 @@ use srflow_core::median;
 use srflow_splat::Camera;
 
 use super::LandmarkView;
+use super::robust::geman_mcclure;
 use crate::Similarity;
 use crate::capture::{Face, LANDMARK_COUNT};
 use srflow_head::{HeadPoints, HeadState};
@@ -122,7 +123,7 @@ const ROUNDS: usize = 12;
 /// Weights by the loss of Geman and McClure, for residuals in units of twice their median.
 fn robust_weights(residuals: &[f64], least: f64) -> Vec<f64> {
     let scale = 2.0 * median(residuals.iter().copied()).max(least);
-    residuals.iter().map(|r| 1.0 / (1.0 + (r / scale).powi(2)).powi(2)).collect()
+    residuals.iter().map(|r| geman_mcclure((r / scale).powi(2), 1.0).1).collect()
 }
 
 /// The rigid transform of the first points onto the second ones (Horn 1987), reweighted against outliers.

@@ -6,6 +6,7 @@ use srflow_core::median;
 
 use super::LandmarkView;
 use super::problem::{Heads, Problem, Projection, Terms, Window};
+use super::robust::geman_mcclure;
 use crate::capture::LANDMARK_COUNT;
 
 /// The first landmark that is not of the jaw's contour.
@@ -162,9 +163,9 @@ impl Problem<'_> {
                     terms.cost += limit;
                     continue;
                 };
-                let softened = 1.0 + square / limit;
-                terms.cost += square / softened;
-                let weight = precision / (softened * softened);
+                let (cost, weight) = geman_mcclure(square, limit);
+                terms.cost += cost;
+                let weight = weight * precision;
                 for (row, residual) in [(at.across, residual.x), (at.down, residual.y)] {
                     information += DMat3::from_cols(row * row.x, row * row.y, row * row.z) * weight;
                     gradient += row * (weight * residual);

@@ -17,6 +17,7 @@ mod pictures;
 mod priors;
 mod problem;
 mod report;
+mod robust;
 #[cfg(test)]
 mod tests;
 

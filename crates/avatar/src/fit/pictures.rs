@@ -20,8 +20,8 @@ use srflow_splat::Camera;
 
 use super::LandmarkView;
 use super::problem::{EYE_CORNERS, Heads, Problem, Projection, Terms, Window};
-use crate::surface::hides;
-use crate::visible_surface;
+use super::robust::geman_mcclure;
+use crate::surface::Depths;
 
 /// Reads the picture of a view.
 pub type ReadPicture<'a> = &'a (dyn Fn(&LandmarkView) -> Result<Image, FileError> + Sync);
@@ -262,6 +262,7 @@ impl Pictures {
         observations.iter().for_each(|seen| views[seen.point] += 1);
         observations.retain(|seen| views[seen.point] >= FEWEST_VIEWS);
 
+        let limit = problem.options.outlier.powi(2);
         let mut look = Look::new(self.points.len(), picture);
         for _ in 0..4 {
             look.fit(&observations);
@@ -275,8 +276,8 @@ impl Pictures {
             }
             for seen in &mut observations {
                 let noise = self.noise_of(seen.point);
-                let square = (look.distance(seen) / (problem.options.outlier * noise)).powi(2);
-                seen.weight = (self.noise[0] / noise).powi(2) * (1.0 + square).powi(-2);
+                let (_, weight) = geman_mcclure((look.distance(seen) / noise).powi(2), limit);
+                seen.weight = (self.noise[0] / noise).powi(2) * weight;
             }
         }
         let unseen = vec![None; self.points.len()];
@@ -304,7 +305,7 @@ impl Pictures {
         let mut observations = Vec::new();
         for (view, patch) in self.patches[timestep].iter().enumerate() {
             let Some(patch) = patch else { continue };
-            let nearest = visible_surface(surface, triangles, &patch.camera);
+            let depths = Depths::of(surface, triangles, &patch.camera);
             let eye = patch.camera.position();
             for (point, &vertex) in self.vertices.iter().enumerate() {
                 let position = surface[vertex as usize].as_dvec3();
@@ -314,7 +315,7 @@ impl Pictures {
                 }
                 let Some((pixel, depth)) = patch.camera.project(position) else { continue };
                 let Some((levels, _)) = patch.sample(pixel) else { continue };
-                if hides(&nearest, patch.camera.size(), pixel, depth - hidden) {
+                if depths.hides(pixel, depth - hidden) {
                     continue;
                 }
                 let (picture, harmonics) = (first + view, harmonics(normal));
@@ -380,9 +381,9 @@ impl Pictures {
                 let residuals: [f64; 3] = std::array::from_fn(|channel| levels[channel] - expected[channel]);
                 let precision = self.noise_of(point).powi(-2);
                 let square = residuals.iter().map(|residual| residual * residual).sum::<f64>() * precision;
-                let softened = 1.0 + square / limit;
-                terms.cost += INDEPENDENT * square / softened;
-                let weight = INDEPENDENT * precision / (softened * softened);
+                let (cost, weight) = geman_mcclure(square, limit);
+                terms.cost += INDEPENDENT * cost;
+                let weight = INDEPENDENT * weight * precision;
                 let (mut pull, mut information) = (DVec2::ZERO, [0.0; 3]);
                 for (residual, slope) in residuals.iter().zip(slopes) {
                     pull += slope * (weight * residual);
@@ -571,8 +572,10 @@ pub(super) fn face_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
 
 /// Vertices of neck and shoulders in the same way, if the head turns on them: without a joint, they would move with the head.
 pub(super) fn neck_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
-    let turns = model.joint(JointRole::Neck).is_some();
-    vertices_of(model, &[Region::Neck], spacing, |_| turns)
+    if model.joint(JointRole::Neck).is_none() {
+        return Vec::new();
+    }
+    vertices_of(model, &[Region::Neck], spacing, |_| true)
 }
 
 /// Vertices of regions where `inside` holds at rest, one in each cell of this side, metres.

@@ -4,6 +4,7 @@ use std::f64::consts::FRAC_1_SQRT_2;
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
+use rayon::prelude::*;
 use srflow_core::random::Key;
 use srflow_core::{Image, median};
 use srflow_files::{FileError, FileProblem};
@@ -20,10 +21,8 @@ use super::{
     initial_gaussians, scene_extent,
 };
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
-use crate::surface::{hides, opaque_triangles};
-use crate::{
-    Avatar, AvatarError, BoundGradients, PosedHead, SEEN_THROUGH_METRES, SurfacePoint, visible_surface,
-};
+use crate::surface::{Depths, opaque_triangles};
+use crate::{Avatar, AvatarError, BoundGradients, PosedHead, SEEN_THROUGH_METRES};
 use srflow_head::{HeadGradient, HeadModel, HeadParameters, HeadPose, PoseParameters, TriangleFrame};
 
 /// Why an avatar could not be trained or scored.
@@ -238,7 +237,6 @@ impl Trainer {
         let view = self.view_of(iteration);
         let view = &self.capture.views()[view];
         let background = self.config.background_at(iteration);
-        let (target, background) = picture(&self.capture, view, &self.config, background)?;
         let degree = self.config.sh_degree_at(iteration);
         if degree > self.avatar.bound().local().sh_degree {
             self.adam.raise_sh_degree(self.avatar.bound_mut().local_mut(), degree);
@@ -249,12 +247,17 @@ impl Trainer {
         let size = camera.size();
         let timestep = view.timestep_place(&self.timesteps);
         let pose = &self.poses[timestep];
-        avatar.gaussians_into(pose, &mut buffers.head, &mut buffers.world);
-        if config.opaque_mesh {
-            let (surface, _) = avatar.model().surface(buffers.head.vertices());
-            let surface = visible_surface(surface, &self.opaque, &camera);
-            hide_behind(&surface, &camera, &mut buffers.world);
-        }
+        let Buffers { head, world, .. } = buffers;
+        let pose_gaussians = || {
+            avatar.gaussians_into(pose, head, world);
+            if config.opaque_mesh {
+                let (surface, _) = avatar.model().surface(head.vertices());
+                hide_behind(&Depths::of(surface, &self.opaque, &camera), &camera, world);
+            }
+        };
+        let read_picture = || picture(&self.capture, view, config, background);
+        let (target, ()) = rayon::join(read_picture, pose_gaussians);
+        let (target, background) = target?;
         let cannot = |error| TrainError::Render { image: view.image.clone(), error };
         let Buffers { rasterizer, frame, world, loss, .. } = buffers;
         let options = Options { background, ..config.rendering() };
@@ -473,23 +476,23 @@ fn older_fingerprint(views: &[CaptureView], parameters: &HeadParameters) -> Stri
     format!("{:08x}", hasher.finalize())
 }
 
-/// Hides the Gaussians that lie wholly behind the surface. `surface` has the nearest point at each pixel.
-fn hide_behind(surface: &[Option<SurfacePoint>], camera: &Camera, gaussians: &mut Gaussians) {
+/// Hides the Gaussians that lie wholly behind the surface.
+fn hide_behind(surface: &Depths, camera: &Camera, gaussians: &mut Gaussians) {
     const DEVIATIONS: f64 = 3.0;
-    let size = camera.size();
-    let is_behind = |at: DVec2, depth: f64| hides(surface, size, at, depth - SEEN_THROUGH_METRES);
+    let is_behind = |at: DVec2, depth: f64| surface.hides(at, depth - SEEN_THROUGH_METRES);
     let diagonal = DVec2::splat(FRAC_1_SQRT_2);
     let directions = [DVec2::X, diagonal].map(|at| [at, at.perp(), -at, -at.perp()]);
     let Gaussians { positions, scales, opacities, .. } = gaussians;
-    for ((position, scale), opacity) in positions.iter().zip(scales).zip(opacities) {
-        let Some((pixel, depth)) = camera.project(position.as_dvec3()) else { continue };
+    let gaussians = positions.par_iter().zip(scales).zip(opacities).with_min_len(2048);
+    gaussians.for_each(|((position, scale), opacity)| {
+        let Some((pixel, depth)) = camera.project(position.as_dvec3()) else { return };
         let radius = DEVIATIONS * f64::from(scale.max_element()) * camera.fx.max(camera.fy) / depth;
         let rim =
             || directions.iter().flatten().all(|direction| is_behind(pixel + *direction * radius, depth));
         if is_behind(pixel, depth) && rim() {
             *opacity = 0.0;
         }
-    }
+    });
 }
 
 /// Checks that a picture shows `background` where its mask is empty, since training replaces that colour.
@@ -552,7 +555,7 @@ pub(super) fn picture(
 
 #[cfg(test)]
 mod tests {
-    use glam::{DVec3, Vec3};
+    use glam::Vec3;
     use srflow_core::Size;
 
     use super::*;
@@ -561,8 +564,9 @@ mod tests {
     fn gaussians_wholly_behind_the_surface_are_hidden() {
         let camera = Camera::centred(Size::new(100, 100), [100.0; 2]);
         // The left half of the picture, a metre away.
-        let near = SurfacePoint { triangle: 0, weights: DVec3::X, depth: 1.0 };
-        let surface: Vec<_> = (0..100 * 100).map(|at| (at % 100 < 50).then_some(near)).collect();
+        let corners = [(-9.0, -9.0), (0.0, -9.0), (-9.0, 9.0), (0.0, 9.0)];
+        let vertices = corners.map(|(x, y)| Vec3::new(x, y, 1.0));
+        let surface = Depths::of(&vertices, &[[0, 1, 2], [1, 2, 3]], &camera);
         let scale = 0.01;
         let cases = [
             (Vec3::new(-0.2, 0.0, 1.1), true),

@@ -121,18 +121,25 @@ mod tests {
 
     #[test]
     fn the_nearer_of_two_triangles_is_seen() {
-        let camera = Camera::centred(Size::new(20, 20), [20.0; 2]);
+        // Higher than a strip of rows.
+        let camera = Camera::centred(Size::new(20, 150), [200.0; 2]);
         let triangle = |depth: f32, tilt: f32| {
             [Vec3::new(-1.0, -1.0, depth), Vec3::new(1.0, -1.0, depth), Vec3::new(0.0, 1.0, depth + tilt)]
         };
         let vertices = [triangle(4.0, 3.0), triangle(3.0, 0.0)].concat();
-        let points = visible_surface(&vertices, &[[0, 1, 2], [3, 4, 5]], &camera);
-        let SurfacePoint { triangle, weights, .. } = points[10 * 20 + 10].unwrap();
-        let corners = [3, 4, 5].map(|v: usize| vertices[v].as_dvec3());
-        let place: DVec3 =
-            corners.iter().zip(weights.to_array()).map(|(corner, weight)| *corner * weight).sum();
-        assert_eq!(triangle, 1);
-        assert!((camera.project(place).unwrap().0 - DVec2::splat(10.0)).length() < 1e-9, "{place}");
+        let triangles = [[0, 1, 2], [3, 4, 5]];
+        let points = visible_surface(&vertices, &triangles, &camera);
+        let depths = Depths::of(&vertices, &triangles, &camera);
+        for y in [30, 63, 64, 100] {
+            let SurfacePoint { triangle, weights, depth } = points[y * 20 + 10].unwrap();
+            let corners = [3, 4, 5].map(|v: usize| vertices[v].as_dvec3());
+            let place: DVec3 =
+                corners.iter().zip(weights.to_array()).map(|(corner, weight)| *corner * weight).sum();
+            let pixel = DVec2::new(10.0, y as f64);
+            assert_eq!(triangle, 1);
+            assert!((camera.project(place).unwrap().0 - pixel).length() < 1e-9, "{place}");
+            assert!(depths.hides(pixel, depth + 1e-9) && !depths.hides(pixel, depth));
+        }
         assert!(points[0].is_none());
     }
 }

@@ -17,7 +17,7 @@ row() {
   srflow avatar train "$name/fit" --config video --set apply_masks=true --iterations 2000 --out "$name/avatar"
   srflow avatar eval "$name/avatar" "$name/fit" --flow --truth "$name/capture" --json > "$name.json"
 }
-for cameras in 1 4 8 16; do
+for cameras in 1 4; do
   row "builtin-$cameras" builtin builtin-average "$cameras"
 done
 if [ $# -gt 0 ]; then

@@ -87,8 +87,9 @@ fn rasterize<T: Send>(
             if rows.is_empty() || area == 0.0 || !area.is_finite() {
                 continue;
             }
+            let columns = range(0, 0, width);
             for y in rows {
-                for x in range(0, 0, width) {
+                for x in columns.clone() {
                     let at = DVec2::new(x as f64, y as f64);
                     let [of_b, of_c] = [(at - a).perp_dot(c - a) / area, (b - a).perp_dot(at - a) / area];
                     if of_b < 0.0 || of_c < 0.0 || of_b + of_c > 1.0 {

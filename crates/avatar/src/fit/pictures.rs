@@ -1,11 +1,12 @@
 //! Alignment of pictures with each other: photometric bundle adjustment over points of face and neck.
 //!
-//! A point of the skin has one colour. In a picture it is changed by the light, which depends on the point's normal, and by the
+//! A point has one colour. In a picture it is changed by the light, which depends on the point's normal, and by the
 //! exposure. In each channel, `ln level = colour + light(normal) + exposure`, where the light is a spherical harmonic function up to
 //! the second order (Ramamoorthi and Hanrahan 2001). The parameters of the head move until all pictures agree, coarse to fine. This is
 //! the photometric energy of VHAP (`vhap/model/tracker.py`) with points in place of a rendered texture, and solved together with the
 //! landmarks. The identity stays that of the landmarks: folds and shadows, which are no colours of points, would change it.
 
+use std::cell::OnceCell;
 use std::collections::HashSet;
 
 use glam::{DVec2, DVec3, Vec3};
@@ -31,8 +32,8 @@ pub type ReadPicture<'a> = &'a (dyn Fn(&LandmarkView) -> Result<Image, FileError
 pub struct PictureFit {
     /// Points of face and neck.
     pub points: usize,
-    /// Standard deviation of the levels of those of the face from what is expected, as a share of the level, with the fit to the landmarks
-    /// alone.
+    /// Standard deviation of the levels of the face's points from what is expected, as a share of the level, with the fit to the
+    /// landmarks alone.
     pub noise_before: f64,
     /// The same after alignment.
     pub noise: f64,
@@ -108,7 +109,7 @@ pub(super) struct Pictures {
     /// How many of them are of the face.
     pub of_face: usize,
     points: HeadPoints,
-    /// Of each view of each timestep, at the finest level; `None` where the face is not in the picture.
+    /// Of each view of each timestep, at the finest level; `None` where nothing of it is in the picture.
     finest: Vec<Vec<Option<Patch>>>,
     /// Pixels between the outer corners of the eyes, at most.
     level: f64,
@@ -225,7 +226,12 @@ impl Pictures {
 
     /// Standard deviation of the levels of a point.
     fn noise_of(&self, point: usize) -> f64 {
-        self.noise[usize::from(point >= self.of_face)]
+        self.noise[self.part(point)]
+    }
+
+    /// 0 for a point of the face, 1 for one of the neck.
+    fn part(&self, point: usize) -> usize {
+        usize::from(point >= self.of_face)
     }
 
     /// Those of a timestep, at the finest level.
@@ -266,18 +272,20 @@ impl Pictures {
         let mut look = Look::new(self.points.len(), picture);
         for _ in 0..4 {
             look.fit(&observations);
-            for (part, noise) in self.noise.iter_mut().enumerate() {
-                let inside = |seen: &Observation| usize::from(seen.point >= self.of_face) == part;
-                let distances: Vec<f64> =
-                    observations.iter().filter(|seen| inside(seen)).map(|seen| look.distance(seen)).collect();
-                if !distances.is_empty() {
-                    *noise = (median(distances) / MEDIAN_DISTANCE).max(LEAST_NOISE);
-                }
-            }
-            for seen in &mut observations {
+            let distances: Vec<f64> = observations.iter().map(|seen| look.distance(seen)).collect();
+            let noise = [0, 1].map(|part| {
+                let pairs = observations.iter().zip(&distances);
+                let inside = pairs.filter(|(seen, _)| self.part(seen.point) == part);
+                let inside: Vec<f64> = inside.map(|(_, distance)| *distance).collect();
+                if inside.is_empty() { LEAST_NOISE } else { median(inside) / MEDIAN_DISTANCE }
+            });
+            let of_face = noise[0].max(LEAST_NOISE);
+            // Black clothes have no noise, but say nothing about the light.
+            self.noise = [of_face, noise[1].max(of_face)];
+            for (seen, distance) in observations.iter_mut().zip(distances) {
                 let noise = self.noise_of(seen.point);
-                let (_, weight) = geman_mcclure((look.distance(seen) / noise).powi(2), limit);
-                seen.weight = (self.noise[0] / noise).powi(2) * weight;
+                let (_, weight) = geman_mcclure((distance / noise).powi(2), limit);
+                seen.weight = (of_face / noise).powi(2) * weight;
             }
         }
         let unseen = vec![None; self.points.len()];
@@ -367,12 +375,13 @@ impl Pictures {
         let limit = problem.options.outlier * problem.options.outlier;
         let mut gradient = vec![0.0; n];
         let mut rows: Vec<f64> = Vec::new();
-        for (patch, expected) in self.patches[timestep].iter().zip(expected) {
-            let Some(patch) = patch else { continue };
-            for (point, expected) in expected.iter().enumerate() {
-                let Some(expected) = expected else { continue };
-                let (position, values) = linearised.point(point);
-                let projection = Projection::of(&patch.camera, position);
+        for point in 0..self.points.len() {
+            // All views of a point share its derivatives in the world.
+            let moving = OnceCell::new();
+            for (patch, expected) in self.patches[timestep].iter().zip(expected) {
+                let (Some(patch), Some(expected)) = (patch, expected[point]) else { continue };
+                let (position, values) = moving.get_or_init(|| linearised.point(point));
+                let projection = Projection::of(&patch.camera, *position);
                 let sampled = projection.as_ref().and_then(|at| Some((at, patch.sample(at.pixel)?)));
                 let Some((projection, (levels, slopes))) = sampled else {
                     terms.cost += INDEPENDENT * limit;
@@ -570,7 +579,8 @@ pub(super) fn face_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
     vertices_of(model, &facial, spacing, |at| at.z >= behind && at.y <= top)
 }
 
-/// Vertices of neck and shoulders in the same way, if the head turns on them: without a joint, they would move with the head.
+/// Vertices of neck and shoulders, one in each cell of this side, metres. None if the model has no joint of the neck: its neck moves
+/// rigidly with the head.
 pub(super) fn neck_points(model: &HeadModel, spacing: f64) -> Vec<u32> {
     if model.joint(JointRole::Neck).is_none() {
         return Vec::new();

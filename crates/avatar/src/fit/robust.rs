@@ -1,5 +1,7 @@
-/// The loss of Geman and McClure: what a squared residual costs, and the weight by which least squares act alike, 1 at zero. Residuals
-/// much larger than the square root of `limit` lose their pull.
+//! A loss that forgives outliers.
+
+/// The loss of Geman and McClure: what a squared residual costs, and the weight with which weighted least squares has the same gradient.
+/// Residuals much larger than the square root of `limit` lose their pull.
 pub fn geman_mcclure(square: f64, limit: f64) -> (f64, f64) {
     let softened = 1.0 + square / limit;
     (square / softened, 1.0 / (softened * softened))

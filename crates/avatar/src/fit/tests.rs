@@ -73,7 +73,7 @@ fn camera() -> Camera {
     Camera::centred(Size::new(320, 320), [900.0; 2]).placed(facing, DVec3::new(0.0, 0.0, 0.9))
 }
 
-/// Heads that turn on shoulders that turn further, smile and look around, and the landmarks of a detector with noise, pixels.
+/// Heads that turn less than their shoulders, smile and look around, and the landmarks of a detector with noise, pixels.
 fn moving_heads(
     model: &HeadModel,
     count: u32,
@@ -199,16 +199,16 @@ fn pictures_make_the_motion_of_face_neck_and_eyes_exact() {
         let errors: Vec<f64> = errors.collect();
         errors.iter().sum::<f64>() / errors.len() as f64
     };
-    // Nose, lids and mouth; neck and shoulders.
+    // Nose, lids and mouth; neck and shoulders. Most pixels that a part may be off.
     let parts = [
-        HeadPoints::on_triangles(&model, &model.landmarks[27..]),
-        HeadPoints::vertices(&model, neck_points(&model, 0.02)),
+        (HeadPoints::on_triangles(&model, &model.landmarks[27..]), 0.2),
+        (HeadPoints::vertices(&model, neck_points(&model, 0.02)), 0.5),
     ];
     let agreement = with.report.pictures.as_ref().unwrap();
-    for points in parts {
+    for (points, most) in parts {
         let [before, after] = [&without, &with].map(|fit| error(&points, &fit.states));
         eprintln!("{before:.3} px, {after:.3} px, {agreement:?}");
-        assert!(after < 0.25 * before, "{before} px, {after} px");
+        assert!(after < 0.25 * before && after < most, "{before} px, {after} px");
     }
     assert!(agreement.noise < 0.7 * agreement.noise_before && agreement.gazes == 6, "{agreement:?}");
     let left = model.joint(JointRole::LeftEye).unwrap();

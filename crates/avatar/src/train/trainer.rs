@@ -231,7 +231,7 @@ impl Trainer {
     /// Trains on one picture.
     ///
     /// # Errors
-    /// When the picture cannot be read or its view not be rendered; the avatar is then unchanged.
+    /// When the picture cannot be read or its view not be rendered; the avatar then looks as before.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         let iteration = self.iteration + 1;
         let view = self.view_of(iteration);

@@ -89,6 +89,7 @@ impl Moving {
 }
 
 /// The weight of a shape and of its arc, and the derivative of the latter.
+#[derive(Debug)]
 struct Weight {
     line: f64,
     arc: f64,
@@ -292,7 +293,8 @@ impl HeadPoints {
     }
 }
 
-/// Points at one state of the head, for derivatives of some of them: those of thousands take a hundred megabytes.
+/// Points at one state of the head. Derivatives are computed on demand: those of thousands of points would take a hundred megabytes.
+#[derive(Debug)]
 pub struct LinearisedPoints<'a> {
     points: &'a HeadPoints,
     weights: Vec<Weight>,

@@ -57,8 +57,8 @@ impl Pictures {
     }
 }
 
-/// The numbers of the pictures in which the face is unlike the others. `points` are those of the face, and the differences of each picture
-/// begin with theirs. Neighbours are at most `reach` apart; `noise` is that of the differences.
+/// The numbers of the pictures in which a face of these points is unlike the others. Neighbours are at most `reach` apart; `noise` is that
+/// of the differences.
 fn unlike(points: &[Vec3], reach: f64, noise: f64, pictures: &[Differences]) -> Vec<usize> {
     let neighbours: Vec<Vec<usize>> = points
         .par_iter()

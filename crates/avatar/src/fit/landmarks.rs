@@ -95,7 +95,7 @@ impl Problem<'_> {
                 .residuals(heads, timestep)
                 .into_iter()
                 .filter(|residual| !without_contour || residual.landmark >= CONTOUR)
-                .map(|r| r.pixels.map_or(f64::INFINITY, |pixels| pixels.length()) / self.factor(r.landmark));
+                .map(|r| r.pixels.map_or(f64::INFINITY, |pixels| pixels.length()) / self.factors[r.landmark]);
             norms.collect::<Vec<f64>>()
         };
         let norms: Vec<Vec<f64>> = window.range.clone().into_par_iter().map(residuals).collect();
@@ -109,11 +109,6 @@ impl Problem<'_> {
         let free = (free * window.range.len() + if window.identity { self.identities } else { 0 }) as f64;
         let count = 2.0 * norms.len() as f64;
         noise.is_finite().then(|| noise * (count / (count - free).max(0.5 * count)).sqrt())
-    }
-
-    /// How many times less precise a landmark is than others.
-    pub fn factor(&self, landmark: usize) -> f64 {
-        self.factors[landmark]
     }
 
     /// Learns how precise each landmark is from its residuals: some are defined by less than a corner, and a detector may place
@@ -153,7 +148,7 @@ impl Problem<'_> {
         for (landmark, (position, row)) in positions.into_iter().zip(rows).enumerate() {
             // All views of a landmark share its derivatives in the world: they are summed first.
             let (mut information, mut gradient, mut seen) = (DMat3::ZERO, DVec3::ZERO, false);
-            let precision = (noise * self.factor(landmark)).powi(-2);
+            let precision = (noise * self.factors[landmark]).powi(-2);
             for view in views {
                 let Some([x, y]) = view.landmarks[landmark] else { continue };
                 let projection = Projection::of(&view.camera, position);

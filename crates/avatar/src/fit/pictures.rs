@@ -341,10 +341,11 @@ impl Pictures {
         observations
     }
 
-    /// The levels of the points less what was to be seen, of each timestep and view with a picture.
+    /// The levels of the face's points less what was to be seen, of each timestep and view with a picture.
     pub fn differences(&self, heads: &Heads) -> Vec<([usize; 2], Differences)> {
         let of_timestep = |(timestep, views): (usize, &Vec<Expected>)| {
             let positions = self.points.positions(heads.state(timestep));
+            let of_face = &positions[..self.of_face];
             let of_view = |(view, expected): (usize, &Expected)| {
                 let patch = self.patches[timestep][view].as_ref()?;
                 let of_point = |(position, expected): (&DVec3, &Option<[f64; 3]>)| {
@@ -352,7 +353,7 @@ impl Pictures {
                     expected
                         .map(|expected| std::array::from_fn(|channel| levels[channel] - expected[channel]))
                 };
-                Some(([timestep, view], positions.iter().zip(expected).map(of_point).collect()))
+                Some(([timestep, view], of_face.iter().zip(expected).map(of_point).collect()))
             };
             views.iter().enumerate().filter_map(of_view).collect::<Vec<_>>()
         };

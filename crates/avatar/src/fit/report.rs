@@ -115,7 +115,7 @@ impl Problem<'_> {
                 .collect();
             for residual in self.residuals(heads, index) {
                 let distance = residual.pixels.map_or(f64::INFINITY, |pixels| pixels.length());
-                let limit = self.options.outlier * noise * self.factor(residual.landmark);
+                let limit = self.options.outlier * noise * self.factors[residual.landmark];
                 let outlier = usize::from(distance > limit);
                 let view = &mut of_views[residual.view];
                 view.landmarks += 1;

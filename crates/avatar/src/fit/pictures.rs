@@ -100,8 +100,13 @@ pub(super) struct Patch {
 /// What is to be seen of each point in one picture; `None` where it is hidden.
 type Expected = Vec<Option<[f64; 3]>>;
 
-/// Differences at the points of a picture, of the logarithms of three levels; `None` where a point is not to be seen.
-pub(super) type Differences = Vec<Option<[f64; 3]>>;
+/// How a point looks in a picture.
+pub(super) struct Difference {
+    /// Logarithms of the levels less what was to be seen.
+    pub levels: [f64; 3],
+    /// How fast the levels change there, per distance between the outer corners of the eyes.
+    pub slope: f64,
+}
 
 pub(super) struct Pictures {
     /// Vertices of the model: those of the face, then those of the neck.
@@ -341,17 +346,21 @@ impl Pictures {
         observations
     }
 
-    /// The levels of the face's points less what was to be seen, of each timestep and view with a picture.
-    pub fn differences(&self, heads: &Heads) -> Vec<([usize; 2], Differences)> {
+    /// How the face's points look, of each timestep and view with a picture; `None` for points that are not to be seen.
+    pub fn differences(&self, heads: &Heads) -> Vec<([usize; 2], Vec<Option<Difference>>)> {
         let of_timestep = |(timestep, views): (usize, &Vec<Expected>)| {
             let positions = self.points.positions(heads.state(timestep));
             let of_face = &positions[..self.of_face];
             let of_view = |(view, expected): (usize, &Expected)| {
                 let patch = self.patches[timestep][view].as_ref()?;
                 let of_point = |(position, expected): (&DVec3, &Option<[f64; 3]>)| {
-                    let (levels, _) = patch.sample(patch.camera.project(*position)?.0)?;
-                    expected
-                        .map(|expected| std::array::from_fn(|channel| levels[channel] - expected[channel]))
+                    let (levels, slopes) = patch.sample(patch.camera.project(*position)?.0)?;
+                    let expected = (*expected)?;
+                    let slope = slopes.iter().map(|slope| slope.length_squared()).sum::<f64>().sqrt();
+                    Some(Difference {
+                        levels: std::array::from_fn(|channel| levels[channel] - expected[channel]),
+                        slope: slope * patch.corners,
+                    })
                 };
                 Some(([timestep, view], of_face.iter().zip(expected).map(of_point).collect()))
             };

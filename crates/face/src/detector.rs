@@ -1,6 +1,8 @@
 //! MediaPipe's short-range face detector: graph `face_detection_short_range`, and that of its face landmarker, `FaceDetectorGraph`.
+//! It sees a frame in 128 pixels, and misses faces that are smaller than a tenth of it. Where the whole frame shows none, they are looked
+//! for in parts of it, which takes ten times as long.
 
-use srflow_core::Image;
+use srflow_core::{Image, Size};
 
 use crate::region::{Beyond, Region};
 use crate::tflite::Network;
@@ -45,18 +47,82 @@ pub(crate) fn check(network: &Network) -> Result<(), String> {
 /// Channels, height and width of the input.
 pub(crate) const INPUT: [usize; 3] = [3, SIDE, SIDE];
 
+/// Side of the parts of a frame, as a share of its shorter side.
+const PART: f64 = 2.0 / 3.0;
+
+/// Lengths of their sides in a frame's longer side, at most.
+const MOST_IN_A_ROW: f64 = 8.0;
+
+/// `min_score_thresh` of parts: there are many, and letters look like faces to the detector.
+const LEAST_SCORE_OF_PARTS: f32 = 0.75;
+
+/// Where faces are looked for.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Extent {
+    Whole,
+    Parts,
+}
+
 /// Regions of the faces for the face mesh, and their scores, from the highest.
 ///
 /// # Errors
 /// When the network does not fit together.
-pub(crate) fn faces(network: &Network, frame: &Image) -> Result<Vec<(Region, f32)>, String> {
-    let region = Region::of_frame(frame);
+pub(crate) fn faces(network: &Network, frame: &Image, extent: Extent) -> Result<Vec<(Region, f32)>, String> {
+    match extent {
+        Extent::Whole => faces_in(network, frame, &Region::of_frame(frame)),
+        Extent::Parts => {
+            let squares = squares(frame.size()).into_iter();
+            let parts =
+                squares.map(|square| faces_in(network, frame, &square)).collect::<Result<Vec<_>, _>>()?;
+            let mut faces = parts.concat();
+            faces.retain(|(_, score)| *score >= LEAST_SCORE_OF_PARTS);
+            Ok(apart(faces))
+        }
+    }
+}
+
+/// Squares that cover a frame, each half over the next one.
+fn squares(frame: Size) -> Vec<Region> {
+    let [shorter, longer] = [frame.width.min(frame.height), frame.width.max(frame.height)];
+    let side = (PART * shorter as f64).max(longer as f64 / MOST_IN_A_ROW);
+    let centres = |length: usize| {
+        let rest = (length as f64 - side).max(0.0);
+        // Less than a pixel is no step.
+        let steps = ((rest - 1.0) / (0.5 * side)).ceil().max(0.0);
+        let first = 0.5 * (length as f64 - rest);
+        (0..=steps as usize).map(move |step| first + rest * step as f64 / steps.max(1.0))
+    };
+    let of_row = |y: f64| {
+        centres(frame.width).map(move |x| Region { centre: [x, y], sides: [side; 2], rotation: 0.0 })
+    };
+    centres(frame.height).flat_map(of_row).collect()
+}
+
+/// Without those around the same place as one with a higher score, from the highest: the border of a part may cut a face, which then
+/// overlaps the whole one little.
+fn apart(mut faces: Vec<(Region, f32)>) -> Vec<(Region, f32)> {
+    faces.sort_by(|(_, a), (_, b)| b.total_cmp(a));
+    let mut kept: Vec<(Region, f32)> = Vec::new();
+    for (face, score) in faces {
+        let is_same = |(other, _): &(Region, f32)| {
+            let [x, y] = [0, 1].map(|axis| other.centre[axis] - face.centre[axis]);
+            x.hypot(y) < 0.5 * other.sides[0].max(face.sides[0])
+        };
+        if !kept.iter().any(is_same) {
+            kept.push((face, score));
+        }
+    }
+    kept
+}
+
+/// The faces in a part of a frame.
+fn faces_in(network: &Network, frame: &Image, region: &Region) -> Result<Vec<(Region, f32)>, String> {
     let outputs = network.run(&region.planes(frame, [SIDE; 2], [-1.0, 1.0], Beyond::Black))?;
     let [regressors, scores] = outputs.as_slice() else {
         return Err(format!("expected two outputs, found {}", outputs.len()));
     };
     let detections = merged(decoded(regressors, scores));
-    Ok(detections.iter().map(|detection| (detection.region(&region), detection.score)).collect())
+    Ok(detections.iter().map(|detection| (detection.region(region), detection.score)).collect())
 }
 
 /// Centres of the anchors in shares of the input.
@@ -171,6 +237,36 @@ mod tests {
         assert_eq!(faces.iter().map(|face| face.score).collect::<Vec<_>>(), [0.9, 0.7]);
         assert!((faces[0].bounds[0] - (0.9 * 0.1 + 0.6 * 0.12) / 1.5).abs() < 1e-6);
         assert_eq!(faces[1].bounds, [0.6, 0.6, 0.8, 0.8]);
+    }
+
+    #[test]
+    fn squares_cover_a_frame_to_its_border_and_overlap_by_half() {
+        let cases =
+            [((1920, 1080), 10), ((256, 256), 4), ((1080, 1920), 10), ((10_000, 100), 15), ((1, 1), 1)];
+        for ((width, height), count) in cases {
+            let squares = squares(Size::new(width, height));
+            assert_eq!(squares.len(), count, "{width}x{height}");
+            for axis in 0..2 {
+                let length = [width, height][axis] as f64;
+                let mut places: Vec<[f64; 2]> = squares
+                    .iter()
+                    .map(|square| [-0.5, 0.5].map(|half| square.centre[axis] + half * square.sides[axis]))
+                    .collect();
+                places.sort_by(|a, b| a[0].total_cmp(&b[0]));
+                let [first, last] = [places[0], places[places.len() - 1]];
+                assert!(first[0] < 1.0 && last[1] > length - 1.0, "{width}x{height}: {places:?}");
+                let side = squares[0].sides[axis];
+                assert!(places.windows(2).all(|pair| pair[1][0] - pair[0][0] <= 0.5 * side + 1.0));
+            }
+        }
+        assert!(squares(Size::new(30_000, 1)).len() < 20);
+    }
+
+    #[test]
+    fn a_face_that_several_parts_show_counts_once() {
+        let face = |x: f64, score| (Region { centre: [x, 10.0], sides: [40.0; 2], rotation: 0.0 }, score);
+        let kept = apart(vec![face(10.0, 0.6), face(100.0, 0.7), face(20.0, 0.9)]);
+        assert_eq!(kept, [face(20.0, 0.9), face(100.0, 0.7)]);
     }
 
     #[test]

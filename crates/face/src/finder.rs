@@ -3,6 +3,7 @@ use std::path::Path;
 use srflow_core::{Image, Size};
 
 use crate::blendshapes::{self, BlendShapes};
+use crate::detector::Extent;
 use crate::model::{Model, Package};
 use crate::points::FacePoints;
 use crate::tflite::Network;
@@ -119,7 +120,7 @@ impl FaceFinder {
         Ok(Some(blendshapes::of_mesh(network, &face.mesh).map_err(failed)?))
     }
 
-    /// All faces of a frame, from left to right.
+    /// The faces of a frame, from left to right. Smaller ones than a tenth of the frame are found only where there is no larger one.
     ///
     /// # Errors
     /// When the networks do not fit together.
@@ -129,10 +130,15 @@ impl FaceFinder {
         }
         let failed = |problem: String| ModelError { path: "MediaPipe's networks for faces".into(), problem };
         let mut faces: Vec<Face> = Vec::new();
-        for (region, score) in detector::faces(&self.detector, frame).map_err(failed)? {
-            let Some(mesh) = mesh::points(&self.mesh, frame, &region).map_err(failed)? else { continue };
-            if let Some(points) = FacePoints::of_mesh(&mesh) {
-                faces.push(Face { score, mesh, points });
+        for extent in [Extent::Whole, Extent::Parts] {
+            for (region, score) in detector::faces(&self.detector, frame, extent).map_err(failed)? {
+                let Some(mesh) = mesh::points(&self.mesh, frame, &region).map_err(failed)? else { continue };
+                if let Some(points) = FacePoints::of_mesh(&mesh) {
+                    faces.push(Face { score, mesh, points });
+                }
+            }
+            if !faces.is_empty() {
+                break;
             }
         }
         let x = |face: &Face| face.points.eyes[0][0] + face.points.eyes[1][0];

@@ -26,10 +26,10 @@ const SHIFT: f64 = 0.05;
 
 /// The face is unlike itself where more than this share of its points look another way. In a video of a woman who wipes her face, that is
 /// 0.014 to 0.06 with her hand before it and at most 0.007 in the others; in nine videos of persons who speak, laugh, and make faces, at
-/// most 0.013.
+/// most 0.013: this is between them, and close to both.
 const UNLIKE: f64 = 0.0135;
 
-/// A hand stays for as many timesteps, and is found again within them.
+/// Pictures at most so many timesteps apart show the same hand, and those between them too.
 const STAYS: usize = 2;
 
 /// A point must be visible in so many pictures.
@@ -48,8 +48,7 @@ impl Pictures {
             unlike(&points, self.noise[0], &seen).into_iter().map(|picture| places[picture]).collect();
         let camera = |[timestep, view]: [usize; 2]| problem.views[timestep][view].camera_index;
         // From one timestep to the next one that is unlike too.
-        let spans = |from: &[usize; 2]| {
-            let from = *from;
+        let spans = |&from: &[usize; 2]| {
             let follows = move |to: &&[usize; 2]| {
                 camera(**to) == camera(from) && (1..=STAYS).contains(&to[0].wrapping_sub(from[0]))
             };
@@ -85,8 +84,9 @@ fn unlike(points: &[Vec3], noise: f64, pictures: &[Vec<Option<Difference>>]) -> 
     let from_neighbours = |seen: &Vec<Option<Difference>>| -> Vec<Option<f64>> {
         let of_point = |(point, near): (usize, &Vec<usize>)| {
             let own = seen[point].as_ref()?.levels;
-            let usual =
-                |channel: usize| median(near.iter().filter_map(|at| Some(seen[*at].as_ref()?.levels[channel])));
+            let usual = |channel: usize| {
+                median(near.iter().filter_map(|at| Some(seen[*at].as_ref()?.levels[channel])))
+            };
             Some((0..3).map(|channel| (own[channel] - usual(channel)).powi(2)).sum::<f64>().sqrt())
         };
         neighbours.iter().enumerate().map(of_point).collect()
@@ -104,7 +104,7 @@ fn unlike(points: &[Vec3], noise: f64, pictures: &[Vec<Option<Difference>>]) -> 
             is_inside.then(|| Some(picture[point]? / usual[point]?)).flatten()
         };
         let ratios: Vec<f64> = (0..points.len()).filter_map(ratio).collect();
-        ratios.iter().filter(|ratio| **ratio > FAR).count() as f64 / ratios.len().max(1) as f64
+        ratios.iter().filter(|ratio| **ratio > FAR).count() as f64 / ratios.len().max(points.len() / 4) as f64
     };
     (0..pictures.len()).filter(|picture| share(&distances[*picture]) > UNLIKE).collect()
 }

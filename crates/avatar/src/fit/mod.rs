@@ -13,6 +13,7 @@ mod gaze;
 mod hidden;
 mod initial;
 mod landmarks;
+mod look;
 mod pictures;
 mod priors;
 mod problem;
@@ -187,10 +188,13 @@ pub fn fit(
         noise = problem.anneal(&mut heads, &window);
     }
     progress(FitStage::Refine, REFINEMENTS, REFINEMENTS);
-    let mut report = problem.report(&heads, first, noise);
-    if let Some(read) = pictures {
-        let step = |done, steps| progress(FitStage::Align, done, steps);
-        report.pictures = Some(problem.align(&mut heads, noise, read, step)?);
-    }
+    let agreement = match pictures {
+        Some(read) => {
+            let step = |done, steps| progress(FitStage::Align, done, steps);
+            Some(problem.align(&mut heads, noise, read, step)?)
+        }
+        None => None,
+    };
+    let report = FitReport { pictures: agreement, ..problem.report(&heads, first, noise) };
     Ok(Fit { timesteps: problem.timesteps, states: heads.states, report })
 }

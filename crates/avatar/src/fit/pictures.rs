@@ -4,7 +4,7 @@
 //! exposure. In each channel, `ln level = colour + light(normal) + exposure`, where the light is a spherical harmonic function up to
 //! the second order (Ramamoorthi and Hanrahan 2001). The parameters of the head move until all pictures agree, coarse to fine. This is
 //! the photometric energy of VHAP (`vhap/model/tracker.py`) with points in place of a rendered texture, and solved together with the
-//! landmarks. The identity stays that of the landmarks: folds and shadows, which are no colours of points, would change it.
+//! landmarks. The colours follow the identity (variable projection, Golub and Pereyra 1973): otherwise, fixed colours would hold the identity where it is.
 
 use std::cell::OnceCell;
 use std::collections::HashSet;
@@ -12,7 +12,6 @@ use std::collections::HashSet;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 use serde::Serialize;
-use srflow_core::dense::{inverse, product};
 use srflow_core::resize::shrink_area;
 use srflow_core::{Image, Plane, Size, median};
 use srflow_files::FileError;
@@ -20,6 +19,7 @@ use srflow_head::{HeadModel, HeadPoints, JointRole, Region, ShapedHead, vertex_n
 use srflow_splat::Camera;
 
 use super::LandmarkView;
+use super::look::{Look, Observation, harmonics};
 use super::problem::{EYE_CORNERS, Heads, Problem, Projection, Terms, Window};
 use super::robust::geman_mcclure;
 use crate::surface::Depths;
@@ -56,6 +56,12 @@ const LEVELS: [f64; 3] = [16.0, 32.0, 64.0];
 /// How often colours and light are found anew at each level.
 const ROUNDS: usize = 4;
 
+/// Rows of the linearised pictures that are in memory at once.
+const MOST_ROWS: usize = 4096;
+
+/// So many parts of the timesteps are summed up in parallel.
+const PARTS: usize = 16;
+
 /// A step of less gain ends the search for parameters between two rounds.
 const ENOUGH: f64 = 1e-3;
 
@@ -83,12 +89,6 @@ const MEDIAN_DISTANCE: f64 = 1.538_17;
 /// The noise is not estimated below this.
 const LEAST_NOISE: f64 = 0.005;
 
-/// Harmonics of the light but for the constant one, which is part of the colours.
-const HARMONICS: usize = 8;
-
-/// Adds to the precision of the light, per observation: a head that keeps its pose does not show the light.
-const LIGHT_PRECISION: f64 = 1e-3;
-
 /// Logarithms of the levels around a face.
 pub(super) struct Patch {
     pub camera: Camera,
@@ -114,6 +114,8 @@ pub(super) struct Pictures {
     /// How many of them are of the face.
     pub of_face: usize,
     points: HeadPoints,
+    /// Distance between the pupils by the landmarks, metres, if each timestep has one view: such pictures do not show the size of the head.
+    pub eye_distance: Option<f64>,
     /// Of each view of each timestep, at the finest level; `None` where nothing of it is in the picture.
     finest: Vec<Vec<Option<Patch>>>,
     /// Pixels between the outer corners of the eyes, at most.
@@ -121,20 +123,26 @@ pub(super) struct Pictures {
     /// Those of this level.
     patches: Vec<Vec<Option<Patch>>>,
     expected: Vec<Vec<Expected>>,
+    following: Option<Following>,
     /// Standard deviation of the levels from what is expected: on the face, and on the neck, where hair and clothes may be.
     pub noise: [f64; 2],
 }
 
-/// A point in a picture.
-struct Observation {
-    timestep: usize,
-    view: usize,
-    /// Number of the picture.
-    picture: usize,
-    point: usize,
+/// How the colours change with the identity.
+struct Following {
+    /// The identity for which the colours were found.
+    identity: Vec<f64>,
+    /// Of each point, channel and identity weight.
+    slopes: Vec<f64>,
+}
+
+/// The levels where a point is in a picture, and how they change.
+struct Sampled<'a> {
     levels: [f64; 3],
-    harmonics: [f64; HARMONICS],
-    weight: f64,
+    /// With its position in the world.
+    slopes: [DVec3; 3],
+    /// How each parameter moves it.
+    moves: &'a [DVec3],
 }
 
 impl Patch {
@@ -217,14 +225,17 @@ impl Pictures {
             views.iter().zip(corners).map(of_view).collect::<Result<Vec<_>, FileError>>()
         };
         let finest = problem.views.par_iter().enumerate().map(patches).collect::<Result<Vec<_>, _>>()?;
+        let one_view_each = problem.views.iter().all(|views| views.len() <= 1);
         Ok(Self {
             vertices,
             of_face,
             points,
+            eye_distance: one_view_each.then(|| problem.eye_distance(heads.state(0))),
             finest,
             level: 0.0,
             patches: Vec::new(),
             expected: Vec::new(),
+            following: None,
             noise: [LEAST_NOISE; 2],
         })
     }
@@ -257,6 +268,7 @@ impl Pictures {
     /// the eyes.
     pub fn look(&mut self, problem: &Problem, heads: &Heads, corners: f64) {
         self.set_level(corners);
+        self.following = None;
         let mut picture = 0;
         let mut numbers = Vec::new();
         for views in &self.patches {
@@ -375,76 +387,130 @@ impl Pictures {
         self.patches[timestep][view] = None;
     }
 
-    /// Adds the pictures of a timestep to the terms of its own parameters.
-    pub fn add(&self, problem: &Problem, heads: &Heads, timestep: usize, terms: &mut Terms) {
-        let Some(expected) = self.expected.get(timestep) else { return };
-        let state = heads.state(timestep);
-        let linearised = self.points.linearised(state);
-        let columns = problem.own_columns();
+    /// Adds the pictures of a timestep to its terms. With an identity that moves, [`Self::follow_identity`] comes first.
+    pub fn add(&self, problem: &Problem, heads: &Heads, timestep: usize, window: &Window, terms: &mut Terms) {
+        let identities = if window.identity { problem.identities } else { 0 };
+        let columns: Vec<usize> = (0..identities).chain(problem.own_columns()).collect();
         let n = columns.len();
         let limit = problem.options.outlier * problem.options.outlier;
-        let mut gradient = vec![0.0; n];
+        let then = self.following.iter().flat_map(|following| &following.identity);
+        let now = &heads.state(timestep).identity[..identities];
+        let moved: Vec<f64> = now.iter().zip(then).map(|(now, then)| now - then).collect();
+        let (mut gradient, mut hessian) = (vec![0.0; n], vec![0.0; n * n]);
         let mut rows: Vec<f64> = Vec::new();
+        self.for_each_point(heads, timestep, |point, expected, seen| {
+            let Some(Sampled { levels, slopes, moves }) = seen else {
+                terms.cost += INDEPENDENT * limit;
+                return;
+            };
+            let residuals: [f64; 3] = std::array::from_fn(|channel| {
+                let changes = self.color_slopes(point, channel, identities).iter().zip(&moved);
+                let color = changes.map(|(slope, moved)| slope * moved).sum::<f64>();
+                levels[channel] - expected[channel] - color
+            });
+            let precision = self.noise_of(point).powi(-2);
+            let square = residuals.iter().map(|residual| residual * residual).sum::<f64>() * precision;
+            let (cost, weight) = geman_mcclure(square, limit);
+            terms.cost += INDEPENDENT * cost;
+            let weight = (INDEPENDENT * weight * precision).sqrt();
+            for (channel, (residual, slope)) in residuals.iter().zip(slopes).enumerate() {
+                let start = rows.len();
+                rows.extend(columns.iter().map(|column| weight * moves[*column].dot(slope)));
+                let row = &mut rows[start..];
+                let of_color = self.color_slopes(point, channel, identities);
+                row.iter_mut().zip(of_color).for_each(|(value, slope)| *value -= weight * slope);
+                gradient.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * residual * *value);
+            }
+            if rows.len() >= MOST_ROWS * n {
+                add_squares(&mut hessian, &rows, n);
+                rows.clear();
+            }
+        });
+        add_squares(&mut hessian, &rows, n);
+        let total = problem.shared() + problem.own();
+        let place = |i: usize| if i < identities { i } else { problem.shared() + i - identities };
+        for i in 0..n {
+            terms.gradient[place(i)] += gradient[i];
+            let row = &mut terms.hessian[place(i) * total..];
+            (0..=i).for_each(|j| row[place(j)] += hessian[i * n + j]);
+        }
+    }
+
+    /// How the colour of a point changes with each of the identity weights, in a channel.
+    fn color_slopes(&self, point: usize, channel: usize, identities: usize) -> &[f64] {
+        let Some(following) = &self.following else { return &[] };
+        &following.slopes[(3 * point + channel) * identities..][..identities]
+    }
+
+    /// Finds how the colours follow the identity: a colour is the mean of what the pictures show.
+    pub fn follow_identity(&mut self, problem: &Problem, heads: &Heads) {
+        let identities = problem.identities;
+        let mut views = vec![0; self.points.len()];
+        for expected in self.expected.iter().flatten() {
+            views
+                .iter_mut()
+                .zip(expected)
+                .for_each(|(count, expected)| *count += usize::from(expected.is_some()));
+        }
+        let add = |mut sums: Vec<f64>, timestep: usize| {
+            self.for_each_point(heads, timestep, |point, _, seen| {
+                let Some(Sampled { slopes, moves, .. }) = seen else { return };
+                for (channel, slope) in slopes.into_iter().enumerate() {
+                    let sums = &mut sums[(3 * point + channel) * identities..][..identities];
+                    let slope = slope / views[point] as f64;
+                    sums.iter_mut().zip(moves).for_each(|(sum, moves)| *sum += moves.dot(slope));
+                }
+            });
+            sums
+        };
+        // Sums do not depend on the number of threads.
+        let timesteps: Vec<usize> = (0..self.patches.len()).collect();
+        let zero = || vec![0.0; 3 * self.points.len() * identities];
+        let parts = timesteps
+            .par_chunks(timesteps.len().div_ceil(PARTS).max(1))
+            .map(|part| part.iter().copied().fold(zero(), add));
+        let slopes = parts.collect::<Vec<_>>().into_iter().fold(zero(), |mut sum, part| {
+            sum.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
+            sum
+        });
+        let identity = heads.states.first().map_or_else(Vec::new, |state| state.identity.clone());
+        self.following = Some(Following { identity, slopes });
+    }
+
+    /// Whether they say anything about the head.
+    fn show_anything(&self) -> bool {
+        self.expected.iter().flatten().flatten().any(Option::is_some)
+    }
+
+    /// Calls `act` with each point that a picture of a timestep shows, what is expected of it, and how it is seen; `None` outside of
+    /// the picture.
+    fn for_each_point(
+        &self,
+        heads: &Heads,
+        timestep: usize,
+        mut act: impl FnMut(usize, [f64; 3], Option<Sampled>),
+    ) {
+        let Some(expected) = self.expected.get(timestep) else { return };
+        let linearised = self.points.linearised(heads.state(timestep));
         for point in 0..self.points.len() {
             // All views of a point share its derivatives in the world.
             let moving = OnceCell::new();
             for (patch, expected) in self.patches[timestep].iter().zip(expected) {
                 let (Some(patch), Some(expected)) = (patch, expected[point]) else { continue };
-                let (position, values) = moving.get_or_init(|| linearised.point(point));
-                let projection = Projection::of(&patch.camera, *position);
-                let sampled = projection.as_ref().and_then(|at| Some((at, patch.sample(at.pixel)?)));
-                let Some((projection, (levels, slopes))) = sampled else {
-                    terms.cost += INDEPENDENT * limit;
-                    continue;
-                };
-                let residuals: [f64; 3] = std::array::from_fn(|channel| levels[channel] - expected[channel]);
-                let precision = self.noise_of(point).powi(-2);
-                let square = residuals.iter().map(|residual| residual * residual).sum::<f64>() * precision;
-                let (cost, weight) = geman_mcclure(square, limit);
-                terms.cost += INDEPENDENT * cost;
-                let weight = INDEPENDENT * weight * precision;
-                let (mut pull, mut information) = (DVec2::ZERO, [0.0; 3]);
-                for (residual, slope) in residuals.iter().zip(slopes) {
-                    pull += slope * (weight * residual);
-                    information[0] += weight * slope.x * slope.x;
-                    information[1] += weight * slope.x * slope.y;
-                    information[2] += weight * slope.y * slope.y;
-                }
-                // Rows of L^T J with information L L^T.
-                let across = information[0].sqrt();
-                if across == 0.0 {
-                    continue;
-                }
-                let both = information[1] / across;
-                let down = (information[2] - both * both).max(0.0).sqrt();
-                let start = rows.len();
-                rows.resize(start + 2 * n, 0.0);
-                let (first, second) = rows[start..].split_at_mut(n);
-                for (i, column) in columns.iter().enumerate() {
-                    let moves = DVec2::new(
-                        values[*column].dot(projection.across),
-                        values[*column].dot(projection.down),
-                    );
-                    gradient[i] += moves.dot(pull);
-                    first[i] = across * moves.x + both * moves.y;
-                    second[i] = down * moves.y;
-                }
+                let (position, moves) = moving.get_or_init(|| linearised.point(point));
+                let seen = Projection::of(&patch.camera, *position).and_then(|at| {
+                    let (levels, slopes) = patch.sample(at.pixel)?;
+                    let slopes = slopes.map(|slope| at.across * slope.x + at.down * slope.y);
+                    Some(Sampled { levels, slopes, moves })
+                });
+                act(point, expected, seen);
             }
-        }
-        let hessian = squares(&rows, n);
-        let (shared, total) = (problem.shared(), problem.shared() + n);
-        for i in 0..n {
-            terms.gradient[shared + i] += gradient[i];
-            let row = (shared + i) * total + shared;
-            let sums = terms.hessian[row..=row + i].iter_mut();
-            sums.zip(&hessian[i * n..]).for_each(|(sum, value)| *sum += value);
         }
     }
 }
 
-/// The lower triangle of the sum of squares of rows of `n` numbers.
-fn squares(rows: &[f64], n: usize) -> Vec<f64> {
-    let mut sum = vec![0.0; n * n];
+/// Adds the squares of rows of `n` numbers to the lower triangle of their sum.
+fn add_squares(sum: &mut [f64], rows: &[f64], n: usize) {
     // Eight rows at a time: the sums are read and written less often.
     for rows in rows.chunks(8 * n) {
         for i in 0..n {
@@ -455,127 +521,6 @@ fn squares(rows: &[f64], n: usize) -> Vec<f64> {
             }
         }
     }
-    sum
-}
-
-/// Colours of points, the light, and exposures of pictures, in logarithms of levels.
-struct Look {
-    colors: Vec<[f64; 3]>,
-    light: [[f64; HARMONICS]; 3],
-    exposures: Vec<[f64; 3]>,
-}
-
-impl Look {
-    fn new(points: usize, pictures: usize) -> Self {
-        Self {
-            colors: vec![[0.0; 3]; points],
-            light: [[0.0; HARMONICS]; 3],
-            exposures: vec![[0.0; 3]; pictures],
-        }
-    }
-
-    /// What is to be seen.
-    fn levels(&self, seen: &Observation) -> [f64; 3] {
-        std::array::from_fn(|channel| {
-            self.colors[seen.point][channel] + self.lit(seen, channel) + self.exposures[seen.picture][channel]
-        })
-    }
-
-    fn lit(&self, seen: &Observation, channel: usize) -> f64 {
-        self.light[channel].iter().zip(seen.harmonics).map(|(a, b)| a * b).sum()
-    }
-
-    fn distance(&self, seen: &Observation) -> f64 {
-        let apart = self.levels(seen).into_iter().zip(seen.levels).map(|(a, b)| (a - b) * (a - b));
-        apart.sum::<f64>().sqrt()
-    }
-
-    /// Least squares by turns: light and colours, then exposures.
-    fn fit(&mut self, observations: &[Observation]) {
-        let points = self.colors.len();
-        let means = Means::of(observations, points, |seen| seen.point);
-        // The light is that of how a point changes: colours take up the rest.
-        let rest = means.mean(observations, |seen| seen.harmonics);
-        let apart = |seen: &Observation| -> [f64; HARMONICS] {
-            std::array::from_fn(|k| seen.harmonics[k] - rest[seen.point][k])
-        };
-        let mut matrix = vec![0.0; HARMONICS * HARMONICS];
-        let mut total = 0.0;
-        for seen in observations {
-            let apart = apart(seen);
-            total += seen.weight;
-            for i in 0..HARMONICS {
-                for j in 0..HARMONICS {
-                    matrix[i * HARMONICS + j] += seen.weight * apart[i] * apart[j];
-                }
-            }
-        }
-        for i in 0..HARMONICS {
-            matrix[i * HARMONICS + i] += LIGHT_PRECISION * total.max(1.0);
-        }
-        let Some(inverse) = inverse(matrix, HARMONICS) else { return };
-        let in_pictures = Means::of(observations, self.exposures.len(), |seen| seen.picture);
-        for _ in 0..4 {
-            let exposed: Vec<[f64; 3]> = observations
-                .iter()
-                .map(|seen| std::array::from_fn(|c| seen.levels[c] - self.exposures[seen.picture][c]))
-                .collect();
-            for channel in 0..3 {
-                let mut right = vec![0.0; HARMONICS];
-                for (seen, levels) in observations.iter().zip(&exposed) {
-                    let apart = apart(seen);
-                    right
-                        .iter_mut()
-                        .zip(apart)
-                        .for_each(|(sum, k)| *sum += seen.weight * k * levels[channel]);
-                }
-                let light = product(&inverse, &right, HARMONICS, 1);
-                self.light[channel].copy_from_slice(&light);
-            }
-            self.colors = means.mean(observations, |seen| {
-                std::array::from_fn(|c| seen.levels[c] - self.exposures[seen.picture][c] - self.lit(seen, c))
-            });
-            self.exposures = in_pictures.mean(observations, |seen| {
-                std::array::from_fn(|c| seen.levels[c] - self.colors[seen.point][c] - self.lit(seen, c))
-            });
-        }
-    }
-}
-
-/// Weighted means over groups of observations.
-struct Means<G> {
-    group: G,
-    weights: Vec<f64>,
-}
-
-impl<G: Fn(&Observation) -> usize> Means<G> {
-    fn of(observations: &[Observation], groups: usize, group: G) -> Self {
-        let mut weights = vec![0.0; groups];
-        observations.iter().for_each(|seen| weights[group(seen)] += seen.weight);
-        Self { group, weights }
-    }
-
-    /// Zero for groups without observations.
-    fn mean<const N: usize>(
-        &self,
-        observations: &[Observation],
-        value: impl Fn(&Observation) -> [f64; N],
-    ) -> Vec<[f64; N]> {
-        let mut sums = vec![[0.0; N]; self.weights.len()];
-        for seen in observations {
-            let sum = &mut sums[(self.group)(seen)];
-            sum.iter_mut().zip(value(seen)).for_each(|(sum, value)| *sum += seen.weight * value);
-        }
-        for (sum, weight) in sums.iter_mut().zip(&self.weights) {
-            sum.iter_mut().for_each(|sum| *sum /= weight.max(f64::MIN_POSITIVE));
-        }
-        sums
-    }
-}
-
-/// Spherical harmonics of the first and second order, but for their factors.
-fn harmonics(DVec3 { x, y, z }: DVec3) -> [f64; HARMONICS] {
-    [x, y, z, x * y, y * z, x * z, x * x - y * y, z * z - 1.0 / 3.0]
 }
 
 /// Vertices of the face's skin, one in each cell of this side, metres.
@@ -639,10 +584,16 @@ impl Problem<'_> {
         pictures.look(self, heads, finest);
         let [before, _] = pictures.noise;
         let hidden = pictures.leave_out_hidden(self, heads);
-        let rounds = LEVELS.iter().flat_map(|level| [*level; ROUNDS]);
-        for (done, level) in rounds.enumerate() {
+        let rounds = LEVELS.iter().enumerate().flat_map(|level| [level; ROUNDS]);
+        for (done, (number, level)) in rounds.enumerate() {
             progress(done, LEVELS.len() * ROUNDS);
-            pictures.look(self, heads, level);
+            pictures.look(self, heads, *level);
+            // The coarsest level is for the pose.
+            let with_identity = number > 0 && pictures.show_anything();
+            let window = if with_identity { window.clone().with_identity() } else { window.clone() };
+            if with_identity {
+                pictures.follow_identity(self, heads);
+            }
             self.optimise(heads, &window, noise, Some(&pictures), ENOUGH);
         }
         pictures.look(self, heads, finest);

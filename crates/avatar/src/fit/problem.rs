@@ -37,7 +37,7 @@ pub(super) const EYE_CORNERS: [usize; 2] = [36, 45];
 
 const RIGHT_EYE: [usize; 6] = [36, 37, 38, 39, 40, 41];
 const LEFT_EYE: [usize; 6] = [42, 43, 44, 45, 46, 47];
-/// Of a stated distance between the pupils, metres.
+/// Of a distance between the pupils that is stated or held, metres.
 const EYE_DISTANCE_DEVIATION: f64 = 0.0005;
 
 pub(super) struct Problem<'a> {
@@ -231,6 +231,11 @@ impl<'a> Problem<'a> {
         self.corners.of(&state.identity)
     }
 
+    /// Distance between the pupils, metres.
+    pub fn eye_distance(&self, state: &HeadState) -> f64 {
+        self.pupils.of(&state.identity).0
+    }
+
     /// Pixels between the outer corners of the eyes in each view, as from the front, where a head that is turned away shows less.
     pub fn corner_pixels(&self, state: &HeadState, views: &[&LandmarkView]) -> Vec<Option<f64>> {
         let (corner, size) = (self.points.positions(state)[EYE_CORNERS[0]], self.size(state).0);
@@ -395,7 +400,7 @@ impl<'a> Problem<'a> {
         let terms = |timestep: usize| {
             let mut terms = self.data(heads, timestep, window, noise);
             if let Some(pictures) = pictures {
-                pictures.add(self, heads, timestep, &mut terms);
+                pictures.add(self, heads, timestep, window, &mut terms);
             }
             let inside = |other: &usize| window.range.contains(other);
             let before = timestep.checked_sub(1).filter(inside);
@@ -444,7 +449,10 @@ impl<'a> Problem<'a> {
         }
         if let Some(state) = heads.states.first().filter(|_| window.identity) {
             let certainty = window.certainty();
-            let identity = self.options.priors.identity / certainty;
+            // Shadows and folds are at the same places in all pictures: together they tell as much about the identity as one. The
+            // landmarks count as little then, and have had their say.
+            let of_identity = if pictures.is_some() { (window.range.len() as f64).sqrt() } else { certainty };
+            let identity = self.options.priors.identity / of_identity;
             let weights = state.identity.iter().map(|weight| (*weight, identity));
             let offsets = self.unexpected(heads).map(|(offset, deviation)| (offset, deviation / certainty));
             for (i, (value, deviation)) in weights.chain(offsets).enumerate() {
@@ -453,7 +461,8 @@ impl<'a> Problem<'a> {
                 system.shared_gradient[i] += value * precision;
                 system.shared[i * shared + i] += precision;
             }
-            if let Some(distance) = self.options.eye_distance {
+            let held = || pictures.and_then(|pictures| pictures.eye_distance);
+            if let Some(distance) = self.options.eye_distance.or_else(held) {
                 let (found, slopes) = self.pupils.of(&state.identity);
                 let precision = (certainty / EYE_DISTANCE_DEVIATION).powi(2);
                 cost += (found - distance).powi(2) * precision;

@@ -25,8 +25,8 @@ const USUAL: f64 = 0.5;
 const SHIFT: f64 = 0.05;
 
 /// The face is unlike itself where more than this share of its points look another way. In a video of a woman who wipes her face, that is
-/// 0.014 to 0.06 with her hand before it and at most 0.007 in the others; in nine videos of persons who speak, laugh, and make faces, at
-/// most 0.013: this is between them, and close to both.
+/// 0.014 to 0.06 with her hand before it, less where the hand only touches the chin, and at most 0.007 in the others. In nine videos of
+/// persons who speak, laugh, and make faces, it is at most 0.013 where the landmarks fit: the limit is close to both.
 const UNLIKE: f64 = 0.0135;
 
 /// Pictures at most so many timesteps apart show the same hand, and those between them too.

@@ -1,4 +1,4 @@
-//! The colours of points, the light, and the exposures of pictures, of which what is to be seen follows.
+//! Colours of points, light, and exposures of pictures: together they give the expected levels.
 
 use glam::DVec3;
 use srflow_core::dense::{inverse, product};

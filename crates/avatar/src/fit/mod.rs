@@ -188,13 +188,8 @@ pub fn fit(
         noise = problem.anneal(&mut heads, &window);
     }
     progress(FitStage::Refine, REFINEMENTS, REFINEMENTS);
-    let agreement = match pictures {
-        Some(read) => {
-            let step = |done, steps| progress(FitStage::Align, done, steps);
-            Some(problem.align(&mut heads, noise, read, step)?)
-        }
-        None => None,
-    };
+    let mut step = |done, steps| progress(FitStage::Align, done, steps);
+    let agreement = pictures.map(|read| problem.align(&mut heads, noise, read, &mut step)).transpose()?;
     let report = FitReport { pictures: agreement, ..problem.report(&heads, first, noise) };
     Ok(Fit { timesteps: problem.timesteps, states: heads.states, report })
 }

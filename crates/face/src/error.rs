@@ -40,8 +40,8 @@ pub enum FaceError {
     Outside { face: FaceBox, frame: Size },
     /// The detector finds nothing.
     #[error(
-        "no face is found; the detector sees faces that are turned by less than about 60 degrees and take at least a tenth of \
-         the frame: crop the frame around the face (`face_box`), or give landmarks (`landmarks`)"
+        "no face is found; the detector sees faces that are turned by less than about 60 degrees and take at least a \
+         fifteenth of the frame's shorter side: crop the frame around the face (`face_box`), or give landmarks (`landmarks`)"
     )]
     NoFace,
     /// The detector finds several faces, and none was chosen.

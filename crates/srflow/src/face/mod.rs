@@ -138,7 +138,8 @@ impl Job for FaceJob {
         }
         if table.with_face == 0 && !stopped {
             bail!(
-                "{}: no face was found in any frame; is it upright, turned to the camera and at least a tenth of the frame?",
+                "{}: no face was found in any frame; is it upright, turned to the camera and at least a \
+                 fifteenth of the frame's shorter side?",
                 self.frames.first().map_or_else(String::new, |path| path.display().to_string())
             );
         }

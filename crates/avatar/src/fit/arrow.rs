@@ -36,6 +36,14 @@ pub(super) struct Step {
     pub shared_covariance: Vec<f64>,
 }
 
+impl Step {
+    /// So many times as far.
+    pub fn times(mut self, factor: f64) -> Self {
+        self.shared.iter_mut().chain(self.own.iter_mut().flatten()).for_each(|value| *value *= factor);
+        self
+    }
+}
+
 impl System {
     /// Solves the equations with `damping` times the diagonal added to the diagonal (Levenberg-Marquardt), by eliminating one
     /// timestep after the other and then the Schur complement of the shared parameters: time and memory are linear in the

@@ -83,7 +83,7 @@ impl Problem<'_> {
                 let of_pixel = |(point, dark): (&Option<SurfacePoint>, &f32)| {
                     let point = (*point)?;
                     let corners = triangles[point.triangle];
-                    if !corners.iter().all(|corner| eyeball.binary_search(corner).is_ok()) {
+                    if !is_of(eyeball, corners) {
                         return None;
                     }
                     let weighted = corners.iter().zip(point.weights.to_array());
@@ -129,6 +129,11 @@ impl Eye {
         let both = product - sums[0] * sums[1] / count;
         if iris * dark > 0.0 { both / (iris * dark).sqrt() } else { 0.0 }
     }
+}
+
+/// Whether a triangle belongs to an eyeball.
+pub(super) fn is_of(eyeball: &[u32], corners: [u32; 3]) -> bool {
+    corners.iter().all(|corner| eyeball.binary_search(corner).is_ok())
 }
 
 /// The eyes' rotation.

@@ -13,6 +13,7 @@ mod gaze;
 mod hidden;
 mod initial;
 mod landmarks;
+mod lids;
 mod look;
 mod pictures;
 mod priors;

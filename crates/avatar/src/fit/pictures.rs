@@ -20,7 +20,7 @@ use srflow_splat::Camera;
 
 use super::LandmarkView;
 use super::look::{Look, Observation, harmonics};
-use super::problem::{EYE_CORNERS, Heads, Problem, Projection, Terms, Window};
+use super::problem::{EYE_CORNERS, Heads, Problem, Projection, Search, Terms, Window};
 use super::robust::geman_mcclure;
 use crate::surface::Depths;
 
@@ -53,8 +53,8 @@ pub struct HiddenView {
 /// Pixels between the outer corners of the eyes at each level.
 const LEVELS: [f64; 3] = [16.0, 32.0, 64.0];
 
-/// How often colours and light are found anew at each level.
-const ROUNDS: usize = 4;
+/// How often colours and light are found anew at each level. The identity needs many rounds: colours hold it back.
+const ROUNDS: [usize; LEVELS.len()] = [4, 16, 10];
 
 /// Rows of the linearised pictures that are in memory at once.
 const MOST_ROWS: usize = 4096;
@@ -62,8 +62,8 @@ const MOST_ROWS: usize = 4096;
 /// So many parts of the timesteps are summed up in parallel.
 const PARTS: usize = 16;
 
-/// A step of less gain ends the search for parameters between two rounds.
-const ENOUGH: f64 = 1e-3;
+/// The search for parameters between two rounds. Robust loss and noisy slopes make the steps of the normal equations too short.
+const SEARCH: Search = Search { steps: 2, least_gain: 1e-3, stride: 2.0 };
 
 /// Distance between points, in distances between the outer corners of the eyes.
 const SPACING: f64 = 1.0 / 24.0;
@@ -94,7 +94,7 @@ pub(super) struct Patch {
     pub camera: Camera,
     pub channels: [Plane; 3],
     /// Pixels between the outer corners of the eyes.
-    corners: f64,
+    pub corners: f64,
 }
 
 /// What is to be seen of each point in one picture; `None` where it is hidden.
@@ -584,19 +584,21 @@ impl Problem<'_> {
         pictures.look(self, heads, finest);
         let [before, _] = pictures.noise;
         let hidden = pictures.leave_out_hidden(self, heads);
-        let rounds = LEVELS.iter().enumerate().flat_map(|level| [level; ROUNDS]);
-        for (done, (number, level)) in rounds.enumerate() {
-            progress(done, LEVELS.len() * ROUNDS);
-            pictures.look(self, heads, *level);
+        let rounds = (0..LEVELS.len()).flat_map(|level| vec![level; ROUNDS[level]]);
+        let count = ROUNDS.iter().sum();
+        for (done, level) in rounds.enumerate() {
+            progress(done, count);
+            pictures.look(self, heads, LEVELS[level]);
             // The coarsest level is for the pose.
-            let with_identity = number > 0 && pictures.show_anything();
+            let with_identity = level > 0 && pictures.show_anything();
             let window = if with_identity { window.clone().with_identity() } else { window.clone() };
             if with_identity {
                 pictures.follow_identity(self, heads);
             }
-            self.optimise(heads, &window, noise, Some(&pictures), ENOUGH);
+            self.optimise(heads, &window, noise, Some(&pictures), &SEARCH);
         }
         pictures.look(self, heads, finest);
+        self.close_lids(heads, &pictures);
         let gazes = self.turn_eyes(heads, &pictures);
         let [noise, _] = pictures.noise;
         Ok(PictureFit { points: pictures.points.len(), noise_before: before, noise, gazes, hidden })

@@ -23,8 +23,17 @@ pub(super) const LEAST_NOISE: f64 = 0.25;
 /// about what they share as so many independent ones.
 const INDEPENDENT: usize = 8;
 
-/// A step of less gain, as a share of the cost, ends a fit to landmarks.
-const LEAST_GAIN: f64 = 1e-6;
+/// When a search for parameters ends, and how far its steps go.
+pub(super) struct Search {
+    /// Steps, at most.
+    pub steps: usize,
+    /// A step of less gain, as a share of the cost, is the last one.
+    pub least_gain: f64,
+    /// How many times as far as the normal equations say, as long as that lowers the cost.
+    pub stride: f64,
+}
+
+const TO_LANDMARKS: Search = Search { steps: 40, least_gain: 1e-6, stride: 1.0 };
 
 /// Timesteps that are linearised at once: each takes about a megabyte.
 const AT_ONCE: usize = 32;
@@ -295,7 +304,7 @@ impl<'a> Problem<'a> {
         let least = self.options.noise.unwrap_or(least);
         noise = noise.max(least);
         for _ in 0..ROUNDS {
-            self.optimise(heads, window, noise, None, LEAST_GAIN);
+            self.optimise(heads, window, noise, None, &TO_LANDMARKS);
             let now = match self.options.noise {
                 Some(known) if noise <= known => break,
                 _ => self.noise(heads, window).unwrap_or(least).max(least),
@@ -351,25 +360,30 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Levenberg-Marquardt, until a step gains less than the share `enough` of the cost. `noise` is that of the landmarks.
+    /// Levenberg-Marquardt. `noise` is that of the landmarks.
     pub fn optimise(
         &self,
         heads: &mut Heads,
         window: &Window,
         noise: f64,
         pictures: Option<&Pictures>,
-        enough: f64,
+        search: &Search,
     ) {
-        const ITERATIONS: usize = 40;
-        let mut damping = 1e-3;
+        const TRIALS: usize = 40;
+        let (mut damping, mut stride, mut steps) = (1e-3, search.stride, 0);
         let (mut system, mut cost) = self.linearise(heads, window, noise, pictures);
-        for _ in 0..ITERATIONS {
-            let moved = system.solve(damping).map(|step| self.moved(heads, window, &step));
+        for _ in 0..TRIALS {
+            let step = system.solve(damping).map(|step| step.times(stride));
+            let moved = step.map(|step| self.moved(heads, window, &step));
             let lower = moved.and_then(|moved| {
                 let (next, lower) = self.linearise(&moved, window, noise, pictures);
                 (lower < cost).then_some((moved, next, lower))
             });
             let Some((moved, next, lower)) = lower else {
+                if stride > 1.0 {
+                    stride = 1.0;
+                    continue;
+                }
                 damping *= 8.0;
                 if damping > 1e8 {
                     break;
@@ -380,7 +394,8 @@ impl<'a> Problem<'a> {
             let gain = (cost - lower) / cost;
             (system, cost) = (next, lower);
             damping = (damping / 8.0_f64).max(1e-9);
-            if gain < enough {
+            steps += 1;
+            if gain < search.least_gain || steps == search.steps {
                 break;
             }
         }

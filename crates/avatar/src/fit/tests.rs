@@ -1,7 +1,9 @@
 use glam::{DMat3, DQuat, DVec2, DVec3, Vec3};
 use srflow_core::random::Key;
 use srflow_core::{Image, Size};
-use srflow_head::{HeadModel, HeadPoints, HeadState, JointRole, ModelSource, Region, vertex_normals};
+use srflow_head::{
+    ActionUnit, HeadModel, HeadPoints, HeadState, JointRole, ModelSource, Region, Side, vertex_normals,
+};
 use srflow_splat::Camera;
 
 use super::arrow::{Step, System};
@@ -218,6 +220,34 @@ fn pictures_make_the_motion_of_face_neck_and_eyes_exact() {
     for (truth, found) in states.iter().zip(&with.states) {
         let off = (truth.joint(left) * DVec3::Z).angle_between(found.joint(left) * DVec3::Z).to_degrees();
         assert!(off < 3.0, "{off} degrees");
+    }
+}
+
+#[test]
+fn lids_close_as_in_the_pictures() {
+    let model = HeadModel::builtin_average();
+    let (open, views) = moving_heads(&model, 8, Detector::Dlib, 1.0);
+    let options = FitOptions::default();
+    let problem = Problem::new(&model, &views, &options);
+    let blink = |side| {
+        let is_blink = |unit: &&ActionUnit| (unit.number, unit.side) == (45, side);
+        model.action_units.iter().find(is_blink).unwrap().expressions[0].0
+    };
+    let [left, right] = [Side::Left, Side::Right].map(blink);
+    let mut closed = open.clone();
+    for (timestep, eye, weight) in [(2, left, 1.0), (2, right, 1.0), (5, left, 0.6), (6, right, 1.0)] {
+        closed[timestep].expressions[eye] = weight;
+    }
+    let read =
+        |view: &LandmarkView| Ok(painted(&model, &closed[view.timestep as usize], exposure(view.timestep)));
+    let mut heads = Heads { states: open, ..problem.heads() };
+    let pictures = Pictures::read(&problem, &heads, &read).unwrap();
+    problem.close_lids(&mut heads, &pictures);
+    for (truth, found) in closed.iter().zip(&heads.states) {
+        for eye in [left, right] {
+            let [truth, found] = [truth, found].map(|state| state.expressions[eye]);
+            assert!((truth - found).abs() < 0.25, "{truth} {found}");
+        }
     }
 }
 

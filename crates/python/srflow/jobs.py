@@ -1147,7 +1147,7 @@ def avatar_fit(
         cameras: Use only these cameras.
         noise: Standard deviation of the landmarks, in pixels [default: estimated].
         eye_distance: Distance between the pupils in millimetres, about 63 in adults; gives the scale that a single camera cannot see.
-        photometric: Then align the pictures with each other by the colours of the skin, and turn eyes and close lids as they show.
+        photometric: Then align the pictures with each other by the colours of the skin, turn the eyes to the irises, and close the lids.
         identities: Fit at most this many shapes of the identity basis.
         expressions: Fit at most this many shapes of the expression basis.
         seed: Seed of a built-in head.

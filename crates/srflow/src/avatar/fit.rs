@@ -69,7 +69,7 @@ pub struct FitJob {
     #[arg(long, value_name = "MM")]
     #[serde(default)]
     pub eye_distance: Option<f64>,
-    /// Then align the pictures with each other by the colours of the skin, and turn eyes and close lids as they show
+    /// Then align the pictures with each other by the colours of the skin, turn the eyes to the irises, and close the lids
     #[arg(long)]
     #[serde(default)]
     pub photometric: bool,

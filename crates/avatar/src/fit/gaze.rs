@@ -83,7 +83,7 @@ impl Problem<'_> {
                 let of_pixel = |(point, dark): (&Option<SurfacePoint>, &f32)| {
                     let point = (*point)?;
                     let corners = triangles[point.triangle];
-                    if !is_of(eyeball, corners) {
+                    if !belongs_to(eyeball, corners) {
                         return None;
                     }
                     let weighted = corners.iter().zip(point.weights.to_array());
@@ -132,7 +132,7 @@ impl Eye {
 }
 
 /// Whether a triangle belongs to an eyeball.
-pub(super) fn is_of(eyeball: &[u32], corners: [u32; 3]) -> bool {
+pub(super) fn belongs_to(eyeball: &[u32], corners: [u32; 3]) -> bool {
     corners.iter().all(|corner| eyeball.binary_search(corner).is_ok())
 }
 

@@ -1,12 +1,11 @@
-//! How far the lids are closed: where they are, the picture shows skin instead of an eye. The landmarks of detectors do not follow
-//! them all the way.
+//! How far the lids are closed: a closed lid shows skin where the eye would be. The landmarks of detectors close less than lids do.
 
 use glam::Vec3;
 use rayon::prelude::*;
 use srflow_core::median;
 use srflow_head::{HeadState, ShapedHead, Side};
 
-use super::gaze::is_of;
+use super::gaze::belongs_to;
 use super::pictures::{Patch, Pictures};
 use super::problem::{Heads, Problem};
 use crate::surface::opaque_triangles;
@@ -117,7 +116,8 @@ impl Problem<'_> {
                 let mut uncovered = vec![0; of_head.len()];
                 for (tenths, triangle_at) in seen.iter().enumerate() {
                     for (bits, triangle) in uncovered.iter_mut().zip(triangle_at) {
-                        let is_eye = triangle.is_some_and(|triangle| is_of(eyeball, triangles[triangle]));
+                        let is_eye =
+                            triangle.is_some_and(|triangle| belongs_to(eyeball, triangles[triangle]));
                         *bits |= u16::from(is_eye) << tenths;
                     }
                 }
